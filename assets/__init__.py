@@ -1,0 +1,1 @@
+"""What ships as data: the sample shot, its generator, the scene for CI and its reference cache."""

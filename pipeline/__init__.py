@@ -1,0 +1,1 @@
+"""From a USD shot to a USD cache: reading, the frame loop, writing, judging."""

@@ -1,0 +1,82 @@
+"""The command's configuration: defaults, then a TOML file, then `--set key=value`. Unknown keys are errors."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+
+from plait.pipeline.errors import InputError, UsageError
+from plait.solver.settings import Settings
+
+
+class OutputSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """[output]: what is written.
+
+    chunk: frames a value-clip file holds.  shutter: offsets in frames of extra samples about each frame, for
+    motion blur, e.g. [-0.25, 0.25]; empty for none.
+    """
+
+    chunk: Annotated[int, msgspec.Meta(ge=1)] = 20
+    shutter: tuple[Annotated[float, msgspec.Meta(gt=-1.0, lt=1.0)], ...] = ()
+
+
+class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All of a run's configuration.
+
+    preroll: frames simulated before the first that is written.
+    parameters: values that win over everything authored, by the name they have on a prim without its prefix
+        (`damping`, `youngsModulus`, `density`, ...), for all prims of a role that knows them.
+    prim: the same for prims whose path matches a glob: {"/World/hair*": {"damping": 2.0}}.
+    """
+
+    preroll: Annotated[int, msgspec.Meta(ge=0)] = 24
+    solver: Settings = Settings()
+    output: OutputSettings = OutputSettings()
+    parameters: dict[str, float | str | bool] = {}
+    prim: dict[str, dict[str, float | str | bool]] = {}
+
+
+def load(path: Path | None, assignments: list[str]) -> Config:
+    """Defaults, overlaid by the file, overlaid by `key=value` assignments (dotted keys, TOML values).
+
+    Raises InputError for a file that cannot be read, UsageError for an assignment that cannot be right.
+    """
+    tree: dict[str, Any] = {}
+    if path is not None:
+        try:
+            tree = tomllib.loads(path.read_text())
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise InputError(str(error), file=path) from error
+        _convert(tree, str(path), InputError)
+    for assignment in assignments:
+        _assign(tree, assignment)
+    return _convert(tree, "--set", UsageError)
+
+
+def _assign(tree: dict[str, Any], assignment: str) -> None:
+    key, separator, text = assignment.partition("=")
+    if not separator or not key.strip():
+        raise UsageError(f"--set {assignment}: write key=value, e.g. solver.substeps=8")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    *groups, leaf = key.strip().split(".")
+    for group in groups:
+        tree = tree.setdefault(group, {})
+        if not isinstance(tree, dict):
+            raise UsageError(f"--set {assignment}: {group} is a value, not a table")
+    tree[leaf] = value
+
+
+def _convert(tree: dict[str, Any], source: str, error_type: type) -> Config:
+    try:
+        return msgspec.convert(tree, Config)
+    except msgspec.ValidationError as error:
+        message = f"{source}: {error}"
+        if error_type is InputError:
+            raise InputError(str(error), file=source) from error
+        raise UsageError(message) from error

@@ -1,0 +1,1 @@
+"""USD stage to Scene."""

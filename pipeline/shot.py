@@ -1,0 +1,95 @@
+"""A shot that has been read: the scene to simulate, and how results go back to the prims they came from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from plait.solver.scene import Scene
+
+
+@dataclass(frozen=True)
+class StageInfo:
+    """What the result must repeat: the source's own units, axis, rate and range (in time codes)."""
+
+    path: Path
+    meters_per_unit: float
+    up_axis: str
+    time_codes_per_second: float
+    frames_per_second: float
+    start: float
+    end: float
+    default_prim: str
+
+
+@dataclass(frozen=True)
+class CurveOutput:
+    """How one `Strands` of the scene goes back to its BasisCurves prim.
+
+    strands: index into `Scene.strands`.
+    point_map: (authored point count,) int32: the simulated point that each authored point takes its place from;
+        authored points that were collapsed (repeated ends) share one.
+    rest_offset: (authored point count, 3) float64 [m] or None: kept distance of an authored point from its
+        simulated point, in the simulated point's frame, where the two are not the same place.
+    world_to_local: time [s] -> (4, 4) float64, column vectors, from scene world [m] to the prim's own space
+        [stage units].
+    widths: (authored point count,) float64 [stage units] as they apply to points, for `extent`.
+    skinned: the prim has a UsdSkel binding, which the result must switch off.
+    has_normals: `normals` were authored and are to be refreshed.
+    """
+
+    prim_path: str
+    strands: int
+    point_map: np.ndarray
+    world_to_local: Callable[[float], np.ndarray]
+    widths: np.ndarray
+    rest_offset: np.ndarray | None = None
+    skinned: bool = False
+    has_normals: bool = False
+
+
+@dataclass(frozen=True)
+class PrimReport:
+    """One row of `plait inspect`: what a prim will be, how that was recognised, how large it is.
+
+    role: of `usd.md`'s table, or 'skipped'.  recognised: in words.  reason: why skipped or refused, or ''.
+    supported: False for a role whose physics does not exist yet.
+    sizes: e.g. {'strands': 500, 'points': 12000}.
+    """
+
+    path: str
+    type_name: str
+    role: str
+    recognised: str
+    sizes: dict[str, int]
+    reason: str = ""
+    supported: bool = True
+    roots: str = ""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Everything the driver and the writer need. `warnings` are whole lines for the log."""
+
+    info: StageInfo
+    scene: Scene
+    curves: tuple[CurveOutput, ...]
+    prims: tuple[PrimReport, ...]
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class CurveFrame:
+    """One prim's result at one time sample, in the prim's own space and units.
+
+    points (n, 3) float32; velocities (n, 3) float32, per second; extent (2, 3) float32; normals or None.
+    """
+
+    prim_path: str
+    points: np.ndarray
+    velocities: np.ndarray
+    extent: np.ndarray
+    normals: np.ndarray | None = None

@@ -1,0 +1,1 @@
+"""Strand nodes against moving triangle surfaces."""

@@ -1,0 +1,1 @@
+"""Surfaces that follow the animation: skinned points, meshes for queries, root frames."""

@@ -1,0 +1,83 @@
+"""Kernel launches: split over threads on the CPU, counted, timed by stage.
+
+`wp.launch` on a CPU is one serial loop that releases the GIL, so two Python threads on disjoint items run
+nearly twice as fast. Every kernel launched here therefore takes `first: int` as its first argument and works on
+item `first + wp.tid()`; items must not share what they write.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import warp as wp
+
+MIN_ITEMS_A_THREAD = 32
+
+
+class Launcher:
+    """Issues kernels on one device; the only place that calls `wp.launch`.
+
+    Attributes: `launches` and `seconds`, counters keyed by stage name.
+    """
+
+    def __init__(self, device: str = "cpu", threads: int = 0) -> None:
+        self.device = wp.get_device(device)
+        self.threads = (threads or os.cpu_count() or 1) if self.device.is_cpu else 1
+        self.launches: Counter[str] = Counter()
+        self.seconds: Counter[str] = Counter()
+        self._stage = "build"
+        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Charges the launches and seconds within to `name`."""
+        outer, self._stage = self._stage, name
+        started = time.perf_counter()
+        try:
+            yield
+            if self.device.is_cuda:
+                wp.synchronize_device(self.device)
+        finally:
+            self.seconds[name] += time.perf_counter() - started
+            self._stage = outer
+
+    def launch(
+        self,
+        kernel: wp.Kernel,
+        count: int,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any] = (),
+        *,
+        work_per_item: int = 1,
+    ) -> None:
+        """Runs `kernel` for items 0 to count - 1; nothing at all when count is 0.
+
+        work_per_item: rough weight of one item (1 for a point, the node count for a whole strand); below
+        `MIN_ITEMS_A_THREAD` of weight a thread, splitting costs more than it gains.
+        """
+        if count == 0:
+            return
+        self.launches[self._stage] += 1
+        ways = min(self.threads, count, max(1, count * work_per_item // MIN_ITEMS_A_THREAD))
+        if ways == 1:
+            wp.launch(kernel, count, [0, *inputs], list(outputs), device=self.device)
+            return
+        kernel.module.load(self.device)  # once, before threads could race for it
+        edges = [count * i // ways for i in range(ways + 1)]
+        jobs = [
+            self._pool.submit(wp.launch, kernel, last - first, [first, *inputs], list(outputs), device=self.device)
+            for first, last in itertools.pairwise(edges)
+        ]
+        for job in jobs:
+            job.result()
+
+    def close(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown()

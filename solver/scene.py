@@ -1,0 +1,194 @@
+"""What is simulated: the one contract between the pipeline and the solver.
+
+Everything here is plain numpy in SI units (metres, kilograms, seconds, radians), in one world frame whose
+origin is `Scene.origin` metres away from the shot's own (so that float32 keeps its digits in a shot a
+kilometre from zero). A scene is readable without knowing USD or Warp, and can be built by hand:
+
+    ground = Surface("ground", points, triangles)
+    scalp = Surface("scalp", points, triangles, motion=KeyedMotion(times, transforms))
+    hair = Strands("hair", points, offsets, roots=RootBinding(1, triangle, barycentric), radius=40e-6)
+    scene = Scene(surfaces=(ground, scalp), strands=(hair,))
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+
+RestShape = Literal["sagfree", "authored"]
+SkinningMethod = Literal["linear", "dual-quaternion"]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a surface's drivers are at one instant; the device turns it into points.
+
+    joint_transforms: (joint_count, 4, 4) float64, column vectors (x' = M x), from the surface's rest points to
+        world; a rigid surface has one, a static one is the identity.
+    blend_weights: (shape_count,) float64, weights of `BlendShapes`, in their order.
+    points: (point_count, 3) float64 [m], world; given only by surfaces whose points are themselves animated (a
+        point cache), and then the rest points, the blend shapes and the joints play no part.
+    """
+
+    joint_transforms: np.ndarray
+    blend_weights: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    points: np.ndarray | None = None
+
+
+class Motion(Protocol):
+    """A surface's animation, evaluated at any time: substeps ask for sub-frame poses."""
+
+    @property
+    def animated(self) -> bool:
+        """False when `pose` gives the same at all times; such a surface is placed once."""
+
+    def pose(self, time: float) -> Pose:
+        """The pose at `time` [s], shot time (time code over time codes per second)."""
+
+
+@dataclass(frozen=True)
+class StaticMotion:
+    """A surface that stays where its rest points are, or where one transform puts them."""
+
+    transform: np.ndarray = field(default_factory=lambda: np.eye(4))
+    animated: bool = False
+
+    def pose(self, time: float) -> Pose:
+        return Pose(self.transform[None])
+
+
+@dataclass(frozen=True)
+class KeyedMotion:
+    """Transforms at given times, (key_count, joint_count, 4, 4); held outside, interpolated within.
+
+    Rotations interpolate linearly in the matrix entries and are then made orthonormal again, which is exact for
+    translations and, for keys a few degrees apart, indistinguishable from a slerp.
+    """
+
+    times: np.ndarray
+    transforms: np.ndarray
+    animated: bool = True
+
+    def pose(self, time: float) -> Pose:
+        upper = int(np.clip(np.searchsorted(self.times, time), 1, len(self.times) - 1))
+        start, end = self.times[upper - 1], self.times[upper]
+        weight = float(np.clip((time - start) / (end - start), 0.0, 1.0))
+        mixed = (1.0 - weight) * self.transforms[upper - 1] + weight * self.transforms[upper]
+        u, _, vt = np.linalg.svd(mixed[:, :3, :3])
+        mixed[:, :3, :3] = u @ vt
+        return Pose(mixed)
+
+
+@dataclass(frozen=True)
+class Skinning:
+    """How joints move points (linear blend or dual quaternion), geomBindTransform already applied.
+
+    joint_indices: (point_count, influence_count) int32 into `Pose.joint_transforms`.
+    joint_weights: (point_count, influence_count) float64, rows sum to one.
+    method: as UsdSkel names them.
+    """
+
+    joint_indices: np.ndarray
+    joint_weights: np.ndarray
+    method: SkinningMethod = "linear"
+
+
+@dataclass(frozen=True)
+class BlendShapes:
+    """Sparse point offsets, added to the rest points before skinning, one run a shape.
+
+    shape_offsets: (shape_count + 1,) int32; shape s holds entries shape_offsets[s]:shape_offsets[s + 1].
+    point_indices: (entry_count,) int32.  point_offsets: (entry_count, 3) float64 [m].
+    """
+
+    shape_offsets: np.ndarray
+    point_indices: np.ndarray
+    point_offsets: np.ndarray
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A triangle surface moved by the animation: a collider, what strands grow on, or both.
+
+    points: (point_count, 3) float64 [m], rest; joint transforms map them to world.
+    triangles: (triangle_count, 3) int32, counter-clockwise seen from outside.
+    collides: False for a surface that only carries roots.
+    thickness: [m] distance kept from this surface beside a strand's own radius.
+    friction: Coulomb coefficient against strands; None leaves it to the strands.
+    """
+
+    name: str
+    points: np.ndarray
+    triangles: np.ndarray
+    motion: Motion = field(default_factory=StaticMotion)
+    skinning: Skinning | None = None
+    blend_shapes: BlendShapes | None = None
+    collides: bool = True
+    thickness: float = 0.0
+    friction: float | None = None
+
+
+@dataclass(frozen=True)
+class RootBinding:
+    """Where strands grow: a place on a triangle of a surface, whose frame carries root and direction.
+
+    surface: index into `Scene.surfaces`.  triangle: (strand_count,) int32.
+    barycentric: (strand_count, 3) float64, rows sum to one; the root's offset from that place at rest is kept in
+        the triangle's frame, so a root need not lie on the surface exactly.
+    A strand bound to no skin has a surface of its own (`collides=False`), one triangle a strand.
+    """
+
+    surface: int
+    triangle: np.ndarray
+    barycentric: np.ndarray
+
+
+@dataclass(frozen=True)
+class Strands:
+    """Hair, fur, ropes: elastic rods clamped at their roots. One prim's worth.
+
+    points: (point_count, 3) float64 [m]: the artist's shape beside the rest points of the surface bound to, in
+        the same space, i.e. as it lies when every joint transform of that surface is `rest_transform`.
+    offsets: (strand_count + 1,) int32; strand s owns points offsets[s]:offsets[s + 1], root first, two or more.
+    radius: (point_count,) float64 [m].
+    density [kg/m3], stretch_stiffness EA [N], bend_stiffness EI [N m2], twist_stiffness GJ [N m2],
+    damping [1/s], friction: (strand_count,) float64 each.
+    rest_shape: 'sagfree': at rest under gravity as drawn; 'authored': stress-free as drawn.
+    rest_transform: (4, 4) float64, the rest points to world where the artist drew them (gives gravity's
+        direction for 'sagfree').
+    loads: (point_count, 3) float64 [N], dead loads in world; None for none. For validation scenes.
+    """
+
+    name: str
+    points: np.ndarray
+    offsets: np.ndarray
+    roots: RootBinding
+    radius: np.ndarray
+    density: np.ndarray
+    stretch_stiffness: np.ndarray
+    bend_stiffness: np.ndarray
+    twist_stiffness: np.ndarray
+    damping: np.ndarray
+    friction: np.ndarray
+    rest_shape: RestShape = "sagfree"
+    rest_transform: np.ndarray = field(default_factory=lambda: np.eye(4))
+    loads: np.ndarray | None = None
+
+    @property
+    def strand_count(self) -> int:
+        return len(self.offsets) - 1
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All that a run needs to know of a shot.
+
+    gravity: (3,) float64 [m/s2], world.  origin: (3,) float64 [m]: shot world = scene world + origin.
+    """
+
+    surfaces: tuple[Surface, ...] = ()
+    strands: tuple[Strands, ...] = ()
+    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, -9.81, 0.0]))
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))

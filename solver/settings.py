@@ -1,0 +1,55 @@
+"""Every number of the solver that a user may set, its unit, range and default. Checked on entry."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+Count = Annotated[int, msgspec.Meta(ge=1)]
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+
+
+class StrandSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """[strands]: the rod solve.
+
+    integrator: 'backward-euler' (default, damps) or 'sdirk2' (second order, twice the solves).
+    tolerance: Newton stops when no node moves further than this part of a segment's length.
+    max_iterations: Newton iterations before a strand's step is subdivided.
+    precision: 'auto' is float64 on the CPU, float32 about the root on a GPU.
+    """
+
+    integrator: Literal["backward-euler", "sdirk2"] = "backward-euler"
+    tolerance: Positive = 3e-2
+    max_iterations: Count = 60
+    precision: Literal["auto", "float32", "float64"] = "auto"
+
+
+class ContactSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """[contact]: strands against bodies.
+
+    passes: detection and solve are alternated at most this often in a substep.
+    friction: Coulomb coefficient where neither prim nor material gives one.
+    exit_speed: [m/s] a point that starts inside a body is led out no faster than this.
+    """
+
+    passes: Count = 4
+    friction: NonNegative = 0.3
+    exit_speed: Positive = 0.5
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where and how finely to solve.
+
+    device: 'cpu' or 'cuda:N'.  threads: CPU threads that share each launch; 0: all cores.
+    precision: 'float32' is the working precision (mixed, see README); 'float64' is that throughout.
+    substeps: substeps a frame.
+    """
+
+    device: str = "cpu"
+    threads: Annotated[int, msgspec.Meta(ge=0)] = 0
+    precision: Literal["float32", "float64"] = "float32"
+    substeps: Count = 8
+    strands: StrandSettings = StrandSettings()
+    contact: ContactSettings = ContactSettings()

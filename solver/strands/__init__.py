@@ -1,0 +1,1 @@
+"""Hair and ropes: implicit discrete elastic rods, one direct solve a strand."""
