@@ -12,8 +12,8 @@ PLANES_A_NODE = 2
 class ContactPlanes:
     """Half-spaces in force for one substep, plane k of node i at i * PLANES_A_NODE + k; world frame.
 
-    The node must satisfy normal . x >= offset at the substep's end; Coulomb friction acts on its tangential distance
-    from `anchor`, the place it would have if it stuck to the moving body.
+    The node must satisfy normal . x >= offset at the substep's end; Coulomb friction acts on its tangential
+    distance from `anchor`, the place it would have if it stuck to the moving body.
     """
 
     normal: wp.array(dtype=wp.vec3d)  # unit, pointing out of the body; zero where there is no contact
