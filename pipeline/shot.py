@@ -72,13 +72,17 @@ class PrimReport:
 
 @dataclass(frozen=True)
 class Shot:
-    """Everything the driver and the writer need. `warnings` are whole lines for the log."""
+    """Everything the driver and the writer need.
+
+    warnings: whole lines for the log.  layers: every file the shot is composed of, sorted; none may be written to.
+    """
 
     info: StageInfo
     scene: Scene
     curves: tuple[CurveOutput, ...]
     prims: tuple[PrimReport, ...]
     warnings: tuple[str, ...] = ()
+    layers: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
