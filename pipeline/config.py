@@ -39,8 +39,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     prim: dict[str, dict[str, float | str | bool]] = {}
 
 
-def load(path: Path | None, assignments: list[str]) -> Config:
-    """Defaults, overlaid by the file, overlaid by `key=value` assignments (dotted keys, TOML values).
+def load(path: Path | None, assignments: list[str], flags: dict[str, Any] | None = None) -> Config:
+    """Defaults, then the file, then `key=value` assignments (dotted keys, TOML values), then flags.
 
     Raises InputError for a file that cannot be read, UsageError for an assignment that cannot be right.
     """
@@ -52,23 +52,25 @@ def load(path: Path | None, assignments: list[str]) -> Config:
             raise InputError(str(error), file=path) from error
         _convert(tree, str(path), InputError)
     for assignment in assignments:
-        _assign(tree, assignment)
-    return _convert(tree, "--set", UsageError)
+        key, separator, text = assignment.partition("=")
+        if not separator or not key.strip():
+            raise UsageError(f"--set {assignment}: write key=value, e.g. solver.substeps=8")
+        try:
+            value = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            value = text  # a bare word is a string
+        _assign(tree, key.strip(), value)
+    for key, value in (flags or {}).items():
+        _assign(tree, key, value)
+    return _convert(tree, "command line", UsageError)
 
 
-def _assign(tree: dict[str, Any], assignment: str) -> None:
-    key, separator, text = assignment.partition("=")
-    if not separator or not key.strip():
-        raise UsageError(f"--set {assignment}: write key=value, e.g. solver.substeps=8")
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        value = text
-    *groups, leaf = key.strip().split(".")
+def _assign(tree: dict[str, Any], key: str, value: Any) -> None:
+    *groups, leaf = key.split(".")
     for group in groups:
         tree = tree.setdefault(group, {})
         if not isinstance(tree, dict):
-            raise UsageError(f"--set {assignment}: {group} is a value, not a table")
+            raise UsageError(f"{key}: {group} is a value, not a table")
     tree[leaf] = value
 
 

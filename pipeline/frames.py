@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from dataclasses import dataclass
@@ -69,7 +70,7 @@ def schedule(
     """
     samples = [(code + offset, code) for code in frames.codes for offset in sorted({0.0, *shutter})]
     samples.sort()
-    if any(later - earlier < 1e-9 for (earlier, _), (later, _) in zip(samples[:-1], samples[1:], strict=True)):
+    if any(later - earlier < 1e-9 for (earlier, _), (later, _) in itertools.pairwise(samples)):
         raise UsageError("shutter samples of neighbouring frames coincide: choose offsets within half a stride")
     last_of = {frame: code for code, frame in samples}
     begin = samples[0][0] - preroll

@@ -18,6 +18,8 @@ from typing import Any
 
 import warp as wp
 
+from plait.solver.warp_start import start_warp
+
 MIN_ITEMS_A_THREAD = 32
 
 
@@ -28,6 +30,7 @@ class Launcher:
     """
 
     def __init__(self, device: str = "cpu", threads: int = 0) -> None:
+        start_warp()
         self.device = wp.get_device(device)
         self.threads = (threads or os.cpu_count() or 1) if self.device.is_cpu else 1
         self.launches: Counter[str] = Counter()

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import msgspec
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Positive = Annotated[float, msgspec.Meta(gt=0.0, lt=float("inf"))]
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0, lt=float("inf"))]
 
 
 class StrandSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
