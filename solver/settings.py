@@ -6,9 +6,11 @@ from typing import Annotated, Literal
 
 import msgspec
 
+# Above any physical value, below infinity: what is not finite is refused.
+FINITE = 1e300
 Count = Annotated[int, msgspec.Meta(ge=1)]
-Positive = Annotated[float, msgspec.Meta(gt=0.0, lt=float("inf"))]
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0, lt=float("inf"))]
+Positive = Annotated[float, msgspec.Meta(gt=0.0, lt=FINITE)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0, lt=FINITE)]
 
 
 class StrandSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

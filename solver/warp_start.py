@@ -12,7 +12,7 @@ _NO_CUDA = b"Could not find or load the NVIDIA CUDA driver"
 
 
 def start_warp() -> None:
-    """Initialises Warp once. What its native side prints meanwhile is passed on, but for the line on absent CUDA."""
+    """Initialises Warp once. What it prints meanwhile is passed on, but for the line on absent CUDA."""
     wp.config.log_level = wp.LOG_WARNING
     sys.stderr.flush()
     kept = os.dup(2)
