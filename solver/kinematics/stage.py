@@ -1,0 +1,134 @@
+"""Bodies that follow the animation: strand roots and the surfaces strands collide with."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from plait.solver.kinematics.colliders import Collider, Colliders
+from plait.solver.kinematics.reach import sweep, touches
+from plait.solver.kinematics.roots import Roots
+from plait.solver.model import Interval, Model
+from plait.solver.scene import Pose
+from plait.solver.state import State
+
+# A strand may stretch by this part of its arc length, and contact looks this far [m] beyond its radius.
+STRETCH_ALLOWANCE = 0.05
+QUERY_ALLOWANCE = 0.01
+# Instants of a frame at which bounds are taken.
+SAMPLES = 5
+
+
+class KinematicsStage:
+    """Follows the poses of the shot, at the substeps' own times.
+
+    root_position: (strand_count,) vec3d [m] and root_rotation: (strand_count,) mat33d, world, float64: where each
+        strand's rest root is carried and how its triangle has turned since rest. Valid at the end of the substep
+        last stepped, and at the start time after `build`.
+    colliders: every surface that collides, or None.  in_reach: those that some strand may touch in this frame;
+        only these are skinned.  start, end: which buffer of `colliders` holds the substep's start and end.
+    """
+
+    name = "kinematics"
+
+    def __init__(self, model: Model, state: State) -> None:
+        self.model, self._surfaces = model, model.scene.surfaces
+        launcher = model.launcher
+        self._poses: dict[tuple[int, float], Pose] = {}
+        self.roots = Roots(model.scene, launcher)
+        device, count = launcher.device, self.roots.count
+        self.root_position = wp.zeros(count, dtype=wp.vec3d, device=device)
+        self.root_rotation = wp.array(np.tile(np.eye(3), (count, 1, 1)), dtype=wp.mat33d, device=device)
+        # A triangle that collapses keeps the rotation it had, so rotations are state.
+        state.arrays["kinematics/root_position"] = self.root_position
+        state.arrays["kinematics/root_rotation"] = self.root_rotation
+        colliders = Colliders(self._surfaces, launcher)
+        self.colliders = colliders if colliders.items else None
+        self.in_reach: list[Collider] = []
+        self.start, self.end = 0, 1
+        self._skinned = 0
+        self.place_roots(model.start_time)
+
+    def pose_at(self, surface: int, time: float) -> Pose:
+        """The pose of a surface at `time` [s], evaluated once a frame."""
+        key = (surface, time if self._surfaces[surface].motion.animated else 0.0)
+        if key not in self._poses:
+            self._poses[key] = self._surfaces[surface].motion.pose(time)
+        return self._poses[key]
+
+    def place_roots(self, time: float) -> None:
+        """Moves `root_position` and `root_rotation` to `time` [s]."""
+        self.roots.place(self.pose_at, time, self.root_position, self.root_rotation)
+
+    def begin_frame(self, state: State, frame: Interval) -> None:
+        """Finds the colliders in reach and places them at the frame's start."""
+        self._poses = {key: pose for key, pose in self._poses.items() if key[1] in (frame.start, frame.end, 0.0)}
+        self._skinned = 0
+        if self.colliders is None:
+            return
+        self.in_reach = self._find_in_reach(frame)
+        for collider in self.in_reach:
+            self._place(collider, self.end, frame.start)
+
+    def step(self, state: State, substep: Interval) -> None:
+        """Moves roots and the colliders in reach to the substep's end; what was the end becomes the start."""
+        self.start, self.end = self.end, self.start
+        self.place_roots(substep.end)
+        for collider in self.in_reach:
+            self._place(collider, self.end, substep.end)
+
+    def end_frame(self, state: State, frame: Interval) -> dict[str, Any]:
+        """How many surfaces there are and were in reach, the names skipped, and the points skinned."""
+        items = self.colliders.items if self.colliders else []
+        near = {collider.index for collider in self.in_reach}
+        return {
+            "surfaces": len(items),
+            "in_reach": len(near),
+            "skipped": [collider.surface.name for collider in items if collider.index not in near],
+            "skinned_points": self._skinned,
+        }
+
+    def _place(self, collider: Collider, buffer: int, time: float) -> None:
+        if not collider.meshes:
+            first = self.model.start_time
+            self._skinned += self.colliders.plant(collider, self.pose_at(collider.index, first), first)
+        self._skinned += self.colliders.place(collider, buffer, self.pose_at(collider.index, time), time)
+
+    def _find_in_reach(self, frame: Interval) -> list[Collider]:
+        """Colliders whose bounds over the frame some strand's reach meets.
+
+        A strand stays within its arc length of its root. Root and surface are sampled at equal times.
+        """
+        times = [frame.start + frame.length * i / (SAMPLES - 1) for i in range(SAMPLES)]
+        times[-1] = frame.end
+        roots = self._root_boxes(times)
+        near = []
+        for collider in self.colliders.items:
+            seen = times if collider.surface.motion.animated else times[:1]
+            box = sweep(np.stack([collider.bounds.at(self.pose_at(collider.index, time)) for time in seen]))
+            margin = self.roots.radius + collider.surface.thickness + QUERY_ALLOWANCE
+            if touches(box, roots, self.roots.arc_length * (1.0 + STRETCH_ALLOWANCE) + margin):
+                near.append(collider)
+        return near
+
+    def _root_boxes(self, times: list[float]) -> np.ndarray:
+        """(strand_count, 2, 3) boxes of the roots' ways through `times`."""
+        position, rotation = wp.empty_like(self.root_position), wp.clone(self.root_rotation)
+        moving = any(self._surfaces[strands.roots.surface].motion.animated for strands in self.model.scene.strands)
+        placed = []
+        for time in times if moving else times[:1]:
+            self.roots.place(self.pose_at, time, position, rotation)
+            placed.append(position.numpy().copy())
+        samples = np.stack(placed)
+        boxes = np.stack([samples.min(axis=0), samples.max(axis=0)], axis=1)
+        if len(samples) > 2:
+            bend = np.abs(samples[2:] - 2.0 * samples[1:-1] + samples[:-2]).max(axis=0)
+            boxes += np.stack([-bend, bend], axis=1)
+        return boxes
+
+
+def build(model: Model, state: State) -> KinematicsStage | None:
+    """The stage, or None for a scene without strands. Raises `Refused` for roots that cannot be carried."""
+    return KinematicsStage(model, state) if model.scene.strands else None
