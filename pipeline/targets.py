@@ -1,0 +1,148 @@
+"""Which prims a result overrides, and what must be said about each outside its samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
+
+from plait.pipeline.shot import CurveOutput, Shot
+
+VALUE_TYPES = {
+    "points": Sdf.ValueTypeNames.Point3fArray,
+    "velocities": Sdf.ValueTypeNames.Vector3fArray,
+    "extent": Sdf.ValueTypeNames.Float3Array,
+    "normals": Sdf.ValueTypeNames.Normal3fArray,
+    "primvars:normals": Sdf.ValueTypeNames.Normal3fArray,
+}
+
+
+@dataclass(frozen=True)
+class Target:
+    """One prim that the result overrides, and what its override must hold outside the clips.
+
+    attributes: names that the clips give, keys of `VALUE_TYPES`.
+    clip_set: a name that no clip set of the source has on this prim (dictionaries of equal name would merge).
+    unbind: the prim is skinned in the source; `add_binding_api`: it does not say so by an applied schema.
+    blocked: attributes of the source that are no longer true, with their types.
+    """
+
+    path: str
+    attributes: tuple[str, ...]
+    clip_set: str = "plait"
+    unbind: bool = False
+    add_binding_api: bool = False
+    blocked: tuple[tuple[str, Sdf.ValueTypeName], ...] = ()
+
+
+def curve_target(prim: Usd.Prim, output: CurveOutput) -> Target:
+    """What overriding `prim`, the source's own, takes. Stale accelerations and normal indices are blocked."""
+    attributes = ["points", "velocities", "extent"]
+    blocked = [(name, Sdf.ValueTypeNames.Vector3fArray) for name in ("accelerations",) if _authored(prim, name)]
+    if output.has_normals:
+        primvar = _authored(prim, "primvars:normals")
+        attributes.append("primvars:normals" if primvar else "normals")
+        if primvar and _authored(prim, "primvars:normals:indices"):
+            blocked.append(("primvars:normals:indices", Sdf.ValueTypeNames.IntArray))
+    return Target(
+        output.prim_path,
+        tuple(attributes),
+        free_clip_set(prim),
+        output.skinned,
+        output.skinned and not prim.HasAPI(UsdSkel.BindingAPI),
+        tuple(blocked),
+    )
+
+
+def free_clip_set(prim: Usd.Prim) -> str:
+    """'plait', or the first 'plait2', 'plait3', ... that `prim` has no clips under: a source may be a result."""
+    taken = Usd.ClipsAPI(prim).GetClips() or {}
+    name, number = "plait", 1
+    while name in taken:
+        number += 1
+        name = f"plait{number}"
+    return name
+
+
+def ancestor_targets(stage: Usd.Stage, outputs: Iterable[CurveOutput]) -> tuple[Target, ...]:
+    """Prims above the simulated ones whose authored bounds no longer hold.
+
+    A SkelRoot's `extent` stands for all beneath it, so it is written anew; an `extentsHint` is only a shortcut,
+    and is blocked: readers then look at the prims themselves.
+    """
+    paths = {prefix for output in outputs for prefix in Sdf.Path(output.prim_path).GetPrefixes()[:-1]}
+    targets = []
+    for path in sorted(paths):
+        prim = stage.GetPrimAtPath(path)
+        bounded = prim.IsA(UsdSkel.Root) and _authored(prim, "extent")
+        hinted = _authored(prim, "extentsHint")
+        if bounded or hinted:
+            attributes = ("extent",) if bounded else ()
+            blocked = (("extentsHint", Sdf.ValueTypeNames.Float3Array),) if hinted else ()
+            targets.append(Target(str(path), attributes, free_clip_set(prim), blocked=blocked))
+    return tuple(targets)
+
+
+def instances_above(stage: Usd.Stage, paths: Iterable[str]) -> tuple[str, ...]:
+    """The instances that hide `paths` from overrides, outermost first; nested ones included."""
+    prefixes = {prefix for path in paths for prefix in Sdf.Path(path).GetPrefixes()[:-1]}
+    return tuple(str(prefix) for prefix in sorted(prefixes) if stage.GetPrimAtPath(prefix).IsInstance())
+
+
+def _authored(prim: Usd.Prim, name: str) -> bool:
+    attribute = prim.GetAttribute(name)
+    return bool(attribute) and attribute.HasAuthoredValue()
+
+
+class Source:
+    """The part of the source stage that a result overrides.
+
+    outputs, bounds: the simulated prims, and those above whose bounds are written anew or blocked.
+    instances: see `instances_above`.  counts: authored points of each simulated prim.
+    layers: files that these prims come from.
+    """
+
+    def __init__(self, shot: Shot) -> None:
+        """Opens the stage with the simulated prims alone. Raises ValueError for a prim it does not have."""
+        self.counts = {output.prim_path: len(output.point_map) for output in shot.curves}
+        mask = Usd.StagePopulationMask([Sdf.Path(path) for path in self.counts])
+        self._stage = Usd.Stage.OpenMasked(str(shot.info.path), mask)
+        missing = [path for path in self.counts if not self._stage.GetPrimAtPath(path)]
+        if missing:
+            raise ValueError(f"{shot.info.path} has no prim {missing[0]}")
+        self.root_layer = self._stage.GetRootLayer()
+        self.outputs = tuple(
+            curve_target(self._stage.GetPrimAtPath(output.prim_path), output) for output in shot.curves
+        )
+        self.bounds = ancestor_targets(self._stage, shot.curves)
+        self.instances = instances_above(self._stage, self.counts)
+        self.layers = tuple(Path(layer.realPath) for layer in self._stage.GetUsedLayers() if layer.realPath)
+
+    @property
+    def targets(self) -> tuple[Target, ...]:
+        return (*self.outputs, *self.bounds)
+
+    def bounds_above(self, code: float, extents: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """(2, 3) float32 `extent` of each SkelRoot above: its own at `code`, grown by `extents` of prims beneath.
+
+        extents: prim path -> (2, 3), in the prim's own space; the result is in the root's.
+        """
+        transforms = UsdGeom.XformCache(code)
+        found = {}
+        for target in self.bounds:
+            if "extent" not in target.attributes:
+                continue
+            root = self._stage.GetPrimAtPath(target.path)
+            low, high = UsdGeom.Boundable(root).GetExtentAttr().Get(code)
+            box = Gf.Range3d(Gf.Vec3d(low), Gf.Vec3d(high))
+            from_world = transforms.GetLocalToWorldTransform(root).GetInverse()
+            for path, extent in extents.items():
+                if Sdf.Path(path).HasPrefix(target.path):
+                    to_world = transforms.GetLocalToWorldTransform(self._stage.GetPrimAtPath(path))
+                    own = Gf.Range3d(*(Gf.Vec3d(*map(float, corner)) for corner in extent))
+                    box.UnionWith(Gf.BBox3d(own, to_world * from_world).ComputeAlignedRange())
+            found[target.path] = np.array([box.GetMin(), box.GetMax()], np.float32)
+        return found
