@@ -34,7 +34,8 @@ def _template(shots: list[Path], results: Path) -> dict[str, Any]:
         "specificationVersion": "jobtemplate-2023-09",
         "name": "plait",
         "parameterDefinitions": [
-            {"name": "Results", "type": "PATH", "objectType": "DIRECTORY", "default": str(results.absolute())}
+            # A string, for the default of a PATH would be joined to the template's folder.
+            {"name": "Results", "type": "STRING", "default": str(results.absolute())}
         ],
         "steps": [
             {
