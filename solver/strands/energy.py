@@ -1,0 +1,238 @@
+"""Discrete elastic rods: energy, gradient and Hessian of one joint (Bergou et al. 2008, 2010).
+
+Variables of the joint between edges a (before) and b (after): the edge vectors and the turns of the two directors about
+their own edge, in the chart centred on the current shape: an edge e + de carries the director
+R(t', turn) P(t -> t') m, with P the parallel transport. No angle or reference frame is stored, so the derivatives are
+those at the centre.
+
+Energy of a joint, with c = ta . tb, curvature binormal kb = 2 ta x tb / (1 + c) and the rest curvature b carried
+by the directors, b = 1/2 sum over both edges of (k1 m2 - k2 m1):
+    bend  1/2 B (|kb|^2 - 2 kb . b + |k|^2),  |kb|^2 = 8 / (1 + c) - 4,  B = EI / Voronoi length
+    twist 1/2 G (twist - rest twist)^2
+For equal bending stiffness in both directions this equals the usual 1/2 B |kappa - k|^2 with edge-averaged directors,
+up to |kb|^2 sin^2(twist / 2), a term of the order of the discretisation's error; its Hessian needs one
+contracted second derivative of the curvature instead of two.
+"""
+
+from functools import cache, partial
+from types import SimpleNamespace
+
+import warp as wp
+
+from plait.solver.strands.types import LEAST_FOLD, rod_types
+
+
+@cache
+def joint_functions(real: type) -> SimpleNamespace:
+    """Device functions of a joint for `real`: `Joint`, `joint`, `joint_energy`, `signed_twist`."""
+    types = rod_types(real)
+    vec2, vec3, mat33, module = types.vec2, types.vec3, types.mat33, types.module
+    structure = partial(wp.struct, module=module)
+
+    @structure
+    class Joint:
+        """Derivatives of a joint's energy; (e, t): edge vector and turn, (a, b): edge before and after."""
+
+        gradient_ea: vec3
+        gradient_eb: vec3
+        gradient_ta: real
+        gradient_tb: real
+        ea_ea: mat33
+        eb_ea: mat33  # row eb, column ea
+        eb_eb: mat33
+        ea_ta: vec3
+        ea_tb: vec3
+        eb_ta: vec3
+        eb_tb: vec3
+        ta_ta: real
+        tb_ta: real
+        tb_tb: real
+
+    @wp.func(module=module)
+    def symmetric_outer(a: vec3, b: vec3):
+        ab = wp.outer(a, b)
+        return ab + wp.transpose(ab)
+
+    @wp.func(module=module)
+    def joint(
+        ta: vec3,
+        inverse_a: real,
+        tb: vec3,
+        inverse_b: real,
+        ma: vec3,
+        mb: vec3,
+        twist: real,
+        bend_stiffness: real,
+        twist_stiffness: real,
+        rest_curvature: vec2,
+        rest_twist: real,
+        beta: real,
+    ):
+        """Gradient and Hessian; beta scales the geometric part (1: exact, 0: Gauss-Newton, semi-definite).
+
+        ta, tb: unit tangents; inverse_a, inverse_b: over the edges' lengths; ma, mb: directors.
+        """
+        one = real(1.0)
+        half = real(0.5)
+        identity = wp.identity(n=3, dtype=real)
+        c = wp.dot(ta, tb)
+        chi = wp.max(one + c, real(LEAST_FOLD))
+        over = one / chi
+        kb = (real(2.0) * over) * wp.cross(ta, tb)
+        tt = over * (ta + tb)
+        na = wp.cross(ta, ma)
+        nb = wp.cross(tb, mb)
+        k1 = rest_curvature[0]
+        k2 = rest_curvature[1]
+        # Rest curvature binormal carried by each edge, and its derivative by that edge's turn.
+        ba = k1 * na - k2 * ma
+        bb = k1 * nb - k2 * mb
+        ca = -k1 * ma - k2 * na
+        cb = -k1 * mb - k2 * nb
+        bt = over * (ba + bb)
+        s = half * wp.dot(kb, ba + bb)
+        w = wp.cross(tb, bt)
+        z = wp.cross(ta, bt)
+        kca = half * wp.dot(kb, ca)
+        kcb = half * wp.dot(kb, cb)
+        # 1/2 |kb|^2 = 4 / (1 + c) - 2 through c; gradients of c by the edges are (tb - c ta) / |ea| and so on.
+        f1 = -real(4.0) * over * over
+        f2 = -real(2.0) * over * f1
+        ua = tb - c * ta
+        ub = ta - c * tb
+        stretch_twist = twist_stiffness * (twist - rest_twist)
+        out = Joint()
+        out.gradient_ea = inverse_a * (bend_stiffness * (f1 * ua + s * tt - w) + (half * stretch_twist) * kb)
+        out.gradient_eb = inverse_b * (bend_stiffness * (f1 * ub + s * tt + z) + (half * stretch_twist) * kb)
+        out.gradient_ta = -bend_stiffness * kca - stretch_twist
+        out.gradient_tb = -bend_stiffness * kcb + stretch_twist
+
+        e = bend_stiffness * beta
+        g = twist_stiffness * real(0.25)
+        h = stretch_twist * beta * real(0.25)
+        sc = s * over
+        pa = identity - wp.outer(ta, ta)
+        pb = identity - wp.outer(tb, tb)
+        haa = (
+            e
+            * (
+                f2 * wp.outer(ua, ua)
+                - f1 * (symmetric_outer(ua, ta) + c * pa)
+                - (real(2.0) * s) * wp.outer(tt, tt)
+                + symmetric_outer(w, tt)
+                + sc * pa
+                - real(0.25) * symmetric_outer(kb, ba)
+            )
+            + g * wp.outer(kb, kb)
+            - h * symmetric_outer(kb, ta + tt)
+        )
+        hbb = (
+            e
+            * (
+                f2 * wp.outer(ub, ub)
+                - f1 * (symmetric_outer(ub, tb) + c * pb)
+                - (real(2.0) * s) * wp.outer(tt, tt)
+                - symmetric_outer(z, tt)
+                + sc * pb
+                - real(0.25) * symmetric_outer(kb, bb)
+            )
+            + g * wp.outer(kb, kb)
+            - h * symmetric_outer(kb, tb + tt)
+        )
+        hba = (
+            e
+            * (
+                f2 * wp.outer(ub, ua)
+                + f1 * (pb * pa)
+                + sc * (identity + wp.outer(tb, ta))
+                - (real(2.0) * s) * wp.outer(tt, tt)
+                + wp.outer(tt, w)
+                - wp.outer(z, tt)
+                - wp.skew(bt)
+            )
+            + g * wp.outer(kb, kb)
+            - (real(2.0) * h) * (wp.outer(tt, kb) + (real(2.0) * over) * wp.skew(ta))
+        )
+        out.ea_ta = inverse_a * (e * (kca * tt - over * wp.cross(tb, ca)) - (half * twist_stiffness) * kb)
+        out.ea_tb = inverse_a * (e * (kcb * tt - over * wp.cross(tb, cb)) + (half * twist_stiffness) * kb)
+        out.eb_ta = inverse_b * (e * (kca * tt + over * wp.cross(ta, ca)) - (half * twist_stiffness) * kb)
+        out.eb_tb = inverse_b * (e * (kcb * tt + over * wp.cross(ta, cb)) + (half * twist_stiffness) * kb)
+        out.ta_ta = twist_stiffness + e * half * wp.dot(kb, ba)
+        out.tb_ta = -twist_stiffness
+        out.tb_tb = twist_stiffness + e * half * wp.dot(kb, bb)
+        if beta < one:
+            # Gauss-Newton of 1/2 B |kappa - k|^2, both components of the edge-averaged curvature.
+            q = bend_stiffness * (one - beta)
+            for component in range(2):
+                da = na
+                db = nb
+                ra = -ma
+                rb = -mb
+                if component == 1:
+                    da = -ma
+                    db = -mb
+                    ra = -na
+                    rb = -nb
+                kappa = half * wp.dot(kb, da + db)
+                dt = over * (da + db)
+                ja = wp.cross(tb, dt) - kappa * tt
+                jb = -wp.cross(ta, dt) - kappa * tt
+                ya = half * wp.dot(kb, ra)
+                yb = half * wp.dot(kb, rb)
+                haa += q * wp.outer(ja, ja)
+                hba += q * wp.outer(jb, ja)
+                hbb += q * wp.outer(jb, jb)
+                out.ea_ta += (inverse_a * q * ya) * ja
+                out.ea_tb += (inverse_a * q * yb) * ja
+                out.eb_ta += (inverse_b * q * ya) * jb
+                out.eb_tb += (inverse_b * q * yb) * jb
+                out.ta_ta += q * ya * ya
+                out.tb_ta += q * ya * yb
+                out.tb_tb += q * yb * yb
+        out.ea_ea = (inverse_a * inverse_a) * haa
+        out.eb_ea = (inverse_a * inverse_b) * hba
+        out.eb_eb = (inverse_b * inverse_b) * hbb
+        return out
+
+    @wp.func(module=module)
+    def joint_energy(
+        ta: vec3,
+        tb: vec3,
+        ma: vec3,
+        mb: vec3,
+        twist: real,
+        bend_stiffness: real,
+        twist_stiffness: real,
+        rest_curvature: vec2,
+        rest_twist: real,
+    ):
+        """Bend and twist energy of a joint [J]."""
+        chi = wp.max(real(1.0) + wp.dot(ta, tb), real(LEAST_FOLD))
+        kb = (real(2.0) / chi) * wp.cross(ta, tb)
+        b = rest_curvature[0] * wp.cross(ta, ma) - rest_curvature[1] * ma
+        b += rest_curvature[0] * wp.cross(tb, mb) - rest_curvature[1] * mb
+        squared = real(8.0) / chi - real(4.0) - wp.dot(kb, b) + wp.dot(rest_curvature, rest_curvature)
+        turn = twist - rest_twist
+        return real(0.5) * (bend_stiffness * squared + twist_stiffness * turn * turn)
+
+    @wp.func(module=module)
+    def transport(t: vec3, to: vec3, v: vec3):
+        """Parallel transport of v, perpendicular to t, onto the plane perpendicular to `to`."""
+        chi = wp.max(real(1.0) + wp.dot(t, to), real(LEAST_FOLD))
+        return v - (wp.dot(v, to) / chi) * (t + to)
+
+    @wp.func(module=module)
+    def signed_twist(ta: vec3, tb: vec3, ma: vec3, mb: vec3, before: real):
+        """Angle from the transported director ma to mb about tb, unwrapped next to the angle `before` [rad]."""
+        carried = transport(ta, tb, ma)
+        angle = wp.atan2(wp.dot(wp.cross(carried, mb), tb), wp.dot(carried, mb))
+        turn = real(6.283185307179586)
+        return angle + turn * wp.round((before - angle) / turn)
+
+    return SimpleNamespace(
+        Joint=Joint,
+        joint=joint,
+        joint_energy=joint_energy,
+        transport=transport,
+        signed_twist=signed_twist,
+    )

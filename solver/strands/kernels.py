@@ -1,0 +1,288 @@
+"""A strand's whole substep in one kernel item: prediction, Newton, time integration, subdivision."""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from plait.solver.strands.energy import joint_functions
+from plait.solver.strands.newton import newton_functions
+from plait.solver.strands.types import rod_types
+
+SDIRK2_GAMMA = 0.2928932188134524  # 1 - 1 / sqrt 2: L-stable and second order (Alexander 1977)
+LARGEST_TURN = 1.0  # [rad] an edge or a director in one Newton iteration
+
+
+@cache
+def strand_kernels(real: type) -> SimpleNamespace:
+    """Kernels `solve`, `measure` for `real`, in one Warp module per precision."""
+    types = rod_types(real)
+    newton = newton_functions(real)
+    joints = joint_functions(real)
+    vec2, vec3, module = types.vec2, types.vec3, types.module
+    Rods, RodState, Roots = types.Rods, types.RodState, types.Roots  # noqa: N806
+    Method, Scratch, Report = types.Method, types.Scratch, types.Report  # noqa: N806
+    eliminate, substitute, advance = newton.eliminate, newton.substitute, newton.advance
+    joint_energy = joints.joint_energy
+
+    @wp.func(module=module)
+    def part_of_rotation(rotation: wp.mat33d, part: wp.float64):
+        """The rotation about the same axis by `part` of the angle."""
+        quaternion = wp.quat_from_matrix(rotation)
+        axis = wp.vec3d()
+        angle = wp.float64(0.0)
+        wp.quat_to_axis_angle(quaternion, axis, angle)
+        return wp.quat_to_matrix(wp.quat_from_axis_angle(axis, part * angle))
+
+    @wp.func(module=module)
+    def load(state: RodState, scratch: Scratch, first: int, count: int, base: int, stride: int, origin: wp.vec3d):
+        """Start of the substep into `scratch`, positions about `origin`."""
+        for k in range(count):
+            slot = base + k * stride
+            x = vec3(state.position[first + k] - origin)
+            scratch.start[slot] = x
+            scratch.position[slot] = x
+            scratch.start_velocity[slot] = vec3(state.velocity[first + k])
+            scratch.director[slot] = vec3(state.director[first + k])
+            scratch.twist[slot] = real(state.twist[first + k])
+            scratch.tension[slot] = real(state.tension[first + k])
+
+    @wp.func(module=module)
+    def carry(
+        scratch: Scratch, count: int, base: int, stride: int, turn: wp.mat33d, centre: wp.vec3d, shift: wp.vec3d
+    ):
+        """Moves the current shape rigidly: x to turn (x - centre) + centre + shift."""
+        rotation = types.mat33(turn)
+        c = vec3(centre)
+        to = vec3(centre + shift)
+        for k in range(count):
+            slot = base + k * stride
+            scratch.position[slot] = rotation * (scratch.position[slot] - c) + to
+            scratch.director[slot] = rotation * scratch.director[slot]
+
+    @wp.func(module=module)
+    def converge(rods: Rods, scratch: Scratch, method: Method, strand: int, base: int, stride: int, inertia: real):
+        """Newton's method. Returns iterations and whether the last full step was within the tolerance."""
+        small = method.tolerance * rods.segment[strand]
+        iterations = int(0)
+        converged = bool(False)
+        while iterations < method.max_iterations and not converged:
+            iterations += 1
+            definite = eliminate(rods, scratch, strand, base, stride, inertia, real(1.0))
+            if not definite:
+                definite = eliminate(rods, scratch, strand, base, stride, inertia, real(0.5))
+            if not definite:
+                definite = eliminate(rods, scratch, strand, base, stride, inertia, real(0.0))
+            if not definite:
+                break
+            furthest, turn = substitute(rods, scratch, strand, base, stride)
+            fraction = real(1.0)
+            if turn > real(LARGEST_TURN):
+                fraction = real(LARGEST_TURN) / turn
+            advance(rods, scratch, strand, base, stride, fraction)
+            converged = fraction == real(1.0) and furthest <= small
+        return iterations, converged
+
+    @wp.func(module=module)
+    def aim(
+        rods: Rods,
+        scratch: Scratch,
+        strand: int,
+        base: int,
+        stride: int,
+        h: real,
+        explicit_step: real,
+        turn: types.mat33,
+        centre: vec3,
+        shift: vec3,
+        step: real,
+    ):
+        """Targets of an implicit stage, x = x0 + h v, v = v0 + h a, from the piece's start; returns the inertia [1/s2].
+
+        Damping acts on the velocity relative to the root's rigid motion over the piece (turn, centre, shift in
+        time `step`).  explicit_step: 0, or (1 - gamma) step, by which SDIRK2's first stage enters its second.
+        """
+        count = rods.first_node[strand + 1] - rods.first_node[strand]
+        damping = rods.damping[strand]
+        inertia = real(1.0) / (h * h) + damping / h
+        for k in range(count):
+            slot = base + k * stride
+            x = scratch.start[slot]
+            v = scratch.start_velocity[slot]
+            rigid = (turn * (x - centre) + centre + shift - x) / step
+            x = x + explicit_step * scratch.stage_velocity[slot]
+            v = v + (explicit_step / h) * (scratch.stage_velocity[slot] - v)
+            scratch.start_of_stage[slot] = x
+            scratch.target[slot] = x + (v / h + damping * rigid) / inertia
+        return inertia
+
+    @wp.func(module=module)
+    def march(
+        rods: Rods,
+        state: RodState,
+        scratch: Scratch,
+        method: Method,
+        strand: int,
+        base: int,
+        stride: int,
+        root: wp.vec3d,
+        rotation: wp.mat33d,
+        pieces: int,
+        stubborn: bool,
+    ):
+        """The substep in `pieces` equal parts. Returns iterations and whether all of them converged.
+
+        Gives up at the first part that does not converge unless `stubborn`.
+        """
+        first = rods.first_node[strand]
+        count = rods.first_node[strand + 1] - first
+        root_before = state.root_position[strand] - root
+        part = wp.float64(1.0) / wp.float64(pieces)
+        turn = rotation * wp.transpose(state.root_rotation[strand])
+        if pieces > 1:
+            turn = part_of_rotation(turn, part)
+        shift = -part * root_before
+        step = real(part * method.step)
+        gamma = wp.float64(SDIRK2_GAMMA)
+        load(state, scratch, first, count, base, stride, root)
+        iterations = int(0)
+        converged = bool(True)
+        for stage in range(pieces * method.stages):
+            if converged or stubborn:
+                piece = stage / method.stages
+                centre = (wp.float64(1.0) - wp.float64(piece) * part) * root_before
+                h = step
+                explicit_step = real(0.0)
+                if method.stages == 1:
+                    carry(scratch, count, base, stride, turn, centre, shift)
+                else:
+                    h = real(gamma) * step
+                    if stage % 2 == 0:
+                        carry(scratch, count, base, stride, part_of_rotation(turn, gamma), centre, gamma * shift)
+                    else:
+                        rest = wp.float64(1.0) - gamma
+                        explicit_step = real(rest) * step
+                        turn_rest = part_of_rotation(turn, rest)
+                        carry(scratch, count, base, stride, turn_rest, centre + gamma * shift, rest * shift)
+                if stage + 1 == pieces * method.stages:
+                    # The clamp itself, exactly.
+                    scratch.position[base] = vec3(rotation * rods.ghost[strand])
+                    scratch.position[base + stride] = vec3()
+                    scratch.director[base] = vec3(rotation * rods.clamp_director[strand])
+                inertia = real(0.0)
+                if step > real(0.0):
+                    inertia = aim(
+                        rods, scratch, strand, base, stride, h, explicit_step, types.mat33(turn), vec3(centre),
+                        vec3(shift), step,
+                    )  # fmt: skip
+                done, within = converge(rods, scratch, method, strand, base, stride, inertia)
+                iterations += done
+                converged = converged and within
+                if step > real(0.0):
+                    last_stage = (stage + 1) % method.stages == 0
+                    for k in range(count):
+                        slot = base + k * stride
+                        v = (scratch.position[slot] - scratch.start_of_stage[slot]) / h
+                        scratch.stage_velocity[slot] = v
+                        if last_stage:
+                            scratch.start[slot] = scratch.position[slot]
+                            scratch.start_velocity[slot] = v
+        return iterations, converged
+
+    @wp.kernel(enable_backward=False, module=module)
+    def solve(
+        first: int,
+        chunk_count: int,
+        active: wp.array(dtype=wp.int32),  # (strand_count,) 0: leave this strand alone
+        method: Method,
+        rods: Rods,
+        state: RodState,
+        roots: Roots,
+        scratch: Scratch,
+        state_out: RodState,
+        report_out: Report,
+    ):
+        """Advances the strands chunk, chunk + chunk_count, ... by one substep from `state` to `state_out`.
+
+        A strand that does not converge starts again in 2, 4, ... parts.
+        """
+        chunk = first + wp.tid()
+        base = chunk * scratch.chunk_stride
+        stride = scratch.node_stride
+        strand_count = rods.first_node.shape[0] - 1
+        for strand in range(chunk, strand_count, chunk_count):
+            if active[strand] == 0:
+                continue
+            root = roots.position[strand]
+            rotation = roots.rotation[strand]
+            pieces = int(1)
+            iterations, converged = march(
+                rods, state, scratch, method, strand, base, stride, root, rotation, 1, method.max_pieces == 1
+            )
+            while not converged and pieces < method.max_pieces:
+                pieces *= 2
+                more, converged = march(
+                    rods, state, scratch, method, strand, base, stride, root, rotation, pieces,
+                    pieces >= method.max_pieces,
+                )  # fmt: skip
+                iterations += more
+            report_out.iterations[strand] = iterations
+            report_out.pieces[strand] = pieces
+            report_out.unconverged[strand] = wp.where(converged, 0, 1)
+            begin = rods.first_node[strand]
+            for node in range(begin, rods.first_node[strand + 1]):
+                slot = base + (node - begin) * stride
+                state_out.position[node] = wp.vec3d(scratch.position[slot]) + root
+                state_out.velocity[node] = wp.vec3d(scratch.stage_velocity[slot])
+                state_out.director[node] = wp.vec3d(scratch.director[slot])
+                state_out.twist[node] = wp.float64(scratch.twist[slot])
+                state_out.tension[node] = wp.float64(scratch.tension[slot])
+            state_out.root_position[strand] = root
+            state_out.root_rotation[strand] = rotation
+
+    @wp.kernel(enable_backward=False, module=module)
+    def measure(
+        first: int,
+        rods: Rods,
+        state: RodState,
+        measures_out: wp.array2d(dtype=wp.float64),  # (strand_count, 4) largest strain, energies [J]
+    ):
+        """Largest strain and kinetic, elastic and potential energy of each strand."""
+        strand = first + wp.tid()
+        begin = rods.first_node[strand]
+        end = rods.first_node[strand + 1]
+        root = state.position[begin + 1]
+        ea = rods.stretch[strand]
+        strain = real(0.0)
+        kinetic = wp.float64(0.0)
+        elastic = wp.float64(0.0)
+        potential = wp.float64(0.0)
+        x = vec3()
+        t = -wp.normalize(vec3(state.position[begin] - root))
+        for node in range(begin + 2, end):
+            x_next = vec3(state.position[node] - root)
+            e = x_next - x
+            length = wp.length(e)
+            t_next = e / length
+            rest = rods.rest_length[node - 1]
+            stretched = length / rest - real(1.0)
+            strain = wp.max(strain, wp.abs(stretched))
+            elastic += wp.float64(real(0.5) * ea * rest * stretched * stretched)
+            elastic += wp.float64(
+                joint_energy(
+                    t, t_next, vec3(state.director[node - 2]), vec3(state.director[node - 1]),
+                    real(state.twist[node - 1]), rods.bend[node - 1], rods.twist[node - 1],
+                    rods.rest_curvature[node - 1], rods.rest_twist[node - 1],
+                )
+            )  # fmt: skip
+            v = state.velocity[node]
+            kinetic += wp.float64(0.5) * wp.float64(rods.mass[node]) * wp.dot(v, v)
+            potential -= wp.dot(wp.vec3d(rods.force[node]), state.position[node])
+            x = x_next
+            t = t_next
+        measures_out[strand, 0] = wp.float64(strain) + wp.float64(0.0) * (elastic + kinetic)
+        measures_out[strand, 1] = kinetic
+        measures_out[strand, 2] = elastic
+        measures_out[strand, 3] = potential
+
+    return SimpleNamespace(solve=solve, measure=measure, types=types, newton=newton, joint_energy=joint_energy)

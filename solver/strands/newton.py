@@ -1,0 +1,238 @@
+"""One Newton iteration of a strand: assembly, factorisation and solve in two passes over its segments.
+
+Unknowns of segment k (edge k, 1 <= k <= node_count - 2): the turn of its director and the displacement of its end
+node k + 1. Root and ghost nodes and the first director are prescribed. Node k + 1 sees edges k - 1 to k + 2, so
+the matrix is block pentadiagonal; it is assembled a block row at a time, factored at once and never stored.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from plait.solver.strands.blocks import block_functions
+from plait.solver.strands.energy import joint_functions
+from plait.solver.strands.types import rod_types
+
+
+@cache
+def newton_functions(real: type) -> SimpleNamespace:
+    """Device functions `eliminate`, `substitute`, `advance` for `real`."""
+    types = rod_types(real)
+    joints = joint_functions(real)
+    blocks = block_functions(real)
+    vec3, vec4, mat33, mat44, module = types.vec3, types.vec4, types.mat33, types.mat44, types.module
+    Rods, Scratch = types.Rods, types.Scratch  # noqa: N806
+    Joint, joint, transport, signed_twist = joints.Joint, joints.joint, joints.transport, joints.signed_twist  # noqa: N806
+    cholesky, divide, forward, backward = blocks.cholesky, blocks.divide, blocks.forward, blocks.backward
+
+    @wp.func(module=module)
+    def eliminate(rods: Rods, scratch: Scratch, strand: int, base: int, stride: int, inertia: real, beta: real):
+        """Assembles and factors the strand's matrix, with the right-hand side taken along.
+
+        inertia: [1/s2] times mass is the inertial stiffness.  beta: see `joint`.
+        Returns whether every pivot was positive; the factor and the half-solved step are in `scratch`.
+        """
+        first = rods.first_node[strand]
+        count = rods.first_node[strand + 1] - first
+        ea = rods.stretch[strand]
+        zero = real(0.0)
+        one = real(1.0)
+        identity = wp.identity(n=3, dtype=real)
+
+        x = scratch.position[base + stride]
+        e = x - scratch.position[base]
+        inverse = one / wp.length(e)
+        t = inverse * e
+        m = scratch.director[base]
+        strain_force = vec3()
+        stretch_block = mat33()
+
+        joint2 = Joint()  # of vertex k
+        joint1 = Joint()  # of vertex k + 1
+        edge_block = mat33()  # of edge k
+        edge_gradient = vec3()
+        factor2 = wp.identity(n=4, dtype=real)
+        factor1 = wp.identity(n=4, dtype=real)
+        lower1_before = mat44()
+        y2 = vec4()
+        y1 = vec4()
+        definite = bool(True)
+        for vertex in range(1, count + 1):
+            here = Joint()
+            next_force = vec3()
+            next_block = mat33()
+            if vertex < count - 1:
+                x_next = scratch.position[base + (vertex + 1) * stride]
+                e_next = x_next - x
+                length = wp.length(e_next)
+                inverse_next = one / length
+                t_next = inverse_next * e_next
+                m_next = scratch.director[base + vertex * stride]
+                here = joint(
+                    t, inverse, t_next, inverse_next, m, m_next, scratch.twist[base + vertex * stride],
+                    rods.bend[first + vertex], rods.twist[first + vertex], rods.rest_curvature[first + vertex],
+                    rods.rest_twist[first + vertex], beta,
+                )  # fmt: skip
+                # Primal-dual stretch: the geometric part follows the dual tension, the force the true strain.
+                stiffness = ea / rods.rest_length[first + vertex]
+                tension = scratch.tension[base + vertex * stride]
+                across = (wp.max(tension, zero) + beta * wp.min(tension, zero)) * inverse_next
+                next_force = (stiffness * length - ea) * t_next
+                next_block = across * identity + (stiffness - across) * wp.outer(t_next, t_next)
+                x = x_next
+                inverse = inverse_next
+                t = t_next
+                m = m_next
+            # Edge vertex - 1 is complete now, and with it the row of segment k = vertex - 2.
+            block_after = stretch_block + joint1.eb_eb + here.ea_ea
+            gradient_after = strain_force + joint1.gradient_eb + here.gradient_ea
+            k = vertex - 2
+            if k >= 1:
+                node = first + k + 1
+                mass = rods.mass[node] * inertia
+                offset = scratch.position[base + (k + 1) * stride] - scratch.target[base + (k + 1) * stride]
+                g = mass * offset - rods.force[node] + edge_gradient - gradient_after
+                c0 = joint2.eb_ea
+                c1 = joint1.eb_ea
+                p = joint2.eb_tb + joint1.ea_ta
+                tx = p - joint1.eb_ta
+                d = mass * identity + edge_block + block_after - c1 - wp.transpose(c1)
+                b = c0 + c1 - edge_block
+                ty = joint2.ea_tb - p
+                diagonal = mat44(
+                    joint2.tb_tb + joint1.ta_ta, tx[0], tx[1], tx[2],
+                    tx[0], d[0, 0], d[0, 1], d[0, 2],
+                    tx[1], d[1, 0], d[1, 1], d[1, 2],
+                    tx[2], d[2, 0], d[2, 1], d[2, 2],
+                )  # fmt: skip
+                lower1 = mat44()
+                lower2 = mat44()
+                if k >= 2:
+                    r = joint2.eb_ta
+                    lower1 = mat44(
+                        joint2.tb_ta, ty[0], ty[1], ty[2],
+                        r[0], b[0, 0], b[0, 1], b[0, 2],
+                        r[1], b[1, 0], b[1, 1], b[1, 2],
+                        r[2], b[2, 0], b[2, 1], b[2, 2],
+                    )  # fmt: skip
+                if k >= 3:
+                    q = joint2.ea_tb
+                    lower2 = mat44(
+                        zero, -q[0], -q[1], -q[2],
+                        zero, -c0[0, 0], -c0[0, 1], -c0[0, 2],
+                        zero, -c0[1, 0], -c0[1, 1], -c0[1, 2],
+                        zero, -c0[2, 0], -c0[2, 1], -c0[2, 2],
+                    )  # fmt: skip
+                    lower2 = divide(lower2, factor2)
+                    lower1 = lower1 - lower2 * wp.transpose(lower1_before)
+                    diagonal = diagonal - lower2 * wp.transpose(lower2)
+                if k >= 2:
+                    lower1 = divide(lower1, factor1)
+                    diagonal = diagonal - lower1 * wp.transpose(lower1)
+                factor, pivot = cholesky(diagonal)
+                if not (pivot > zero):
+                    definite = False
+                    break
+                right = vec4(-(joint2.gradient_tb + joint1.gradient_ta), -g[0], -g[1], -g[2])
+                y = forward(factor, right - lower1 * y1 - lower2 * y2)
+                slot = base + k * stride
+                scratch.factor[slot] = factor
+                scratch.lower1[slot] = lower1
+                scratch.lower2[slot] = lower2
+                scratch.solution[slot] = y
+                factor2 = factor1
+                factor1 = factor
+                lower1_before = lower1
+                y2 = y1
+                y1 = y
+            joint2 = joint1
+            joint1 = here
+            edge_block = block_after
+            edge_gradient = gradient_after
+            stretch_block = next_block
+            strain_force = next_force
+        return definite
+
+    @wp.func(module=module)
+    def substitute(rods: Rods, scratch: Scratch, strand: int, base: int, stride: int):
+        """Back substitution. Returns the largest displacement [m] and the largest turn of an edge [rad]."""
+        count = rods.first_node[strand + 1] - rods.first_node[strand]
+        furthest = real(0.0)
+        turn = real(0.0)
+        z1 = vec4()  # of segment k + 1
+        l1 = mat44()
+        l2 = mat44()
+        l2_after = mat44()
+        z2 = vec4()
+        x_next = scratch.position[base + (count - 1) * stride]
+        for i in range(count - 2):
+            k = count - 2 - i
+            slot = base + k * stride
+            y = scratch.solution[slot] - wp.transpose(l1) * z1 - wp.transpose(l2_after) * z2
+            z = backward(scratch.factor[slot], y)
+            scratch.solution[slot] = z
+            furthest = wp.max(furthest, z[1] * z[1] + z[2] * z[2] + z[3] * z[3])
+            turn = wp.max(turn, z[0] * z[0])
+            # Edge k + 1 turns by the part of its end nodes' difference that is across it.
+            if i > 0:
+                e = x_next - scratch.position[slot + stride]
+                d = vec3(z1[1] - z[1], z1[2] - z[2], z1[3] - z[3])
+                ee = wp.dot(e, e)
+                across = wp.cross(e, d)
+                turn = wp.max(turn, wp.dot(across, across) / (ee * ee))
+                x_next = scratch.position[slot + stride]
+            l2_after = l2
+            l1 = scratch.lower1[slot]
+            l2 = scratch.lower2[slot]
+            z2 = z1
+            z1 = z
+        e = x_next - scratch.position[base + stride]
+        d = vec3(z1[1], z1[2], z1[3])
+        ee = wp.dot(e, e)
+        across = wp.cross(e, d)
+        turn = wp.max(turn, wp.dot(across, across) / (ee * ee))
+        return wp.sqrt(furthest), wp.sqrt(turn)
+
+    @wp.func(module=module)
+    def advance(rods: Rods, scratch: Scratch, strand: int, base: int, stride: int, fraction: real):
+        """Takes `fraction` of the step: nodes, directors by parallel transport and turn, twist, dual tension."""
+        first = rods.first_node[strand]
+        count = rods.first_node[strand + 1] - first
+        ea = rods.stretch[strand]
+        half = real(0.5)
+        one = real(1.0)
+        x_old = scratch.position[base + stride]
+        x_new = x_old
+        t_before = wp.normalize(x_old - scratch.position[base])
+        m_before = scratch.director[base]
+        moved = vec3()
+        for k in range(1, count - 1):
+            slot = base + k * stride
+            z = scratch.solution[slot]
+            step = vec3(z[1], z[2], z[3])
+            x_next_old = scratch.position[slot + stride]
+            x_next_new = x_next_old + fraction * step
+            e = x_next_old - x_old
+            length = wp.length(e)
+            t = e / length
+            linear = (ea / rods.rest_length[first + k]) * (length + wp.dot(t, step - moved)) - ea
+            tension = scratch.tension[slot]
+            scratch.tension[slot] = tension + fraction * (linear - tension)
+            t_new = wp.normalize(x_next_new - x_new)
+            m = transport(t, t_new, scratch.director[slot])
+            # A turn by 2 atan(angle / 2): the angle itself up to third order, and no trigonometry.
+            q = half * fraction * z[0]
+            n = wp.cross(t_new, m)
+            m = (one - q * q) * m + (real(2.0) * q) * n
+            m = wp.normalize(m - wp.dot(m, t_new) * t_new)
+            scratch.director[slot] = m
+            scratch.position[slot + stride] = x_next_new
+            scratch.twist[slot] = signed_twist(t_before, t_new, m_before, m, scratch.twist[slot])
+            t_before = t_new
+            m_before = m
+            x_old = x_next_old
+            x_new = x_next_new
+            moved = step
+
+    return SimpleNamespace(eliminate=eliminate, substitute=substitute, advance=advance)

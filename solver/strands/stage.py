@@ -1,0 +1,269 @@
+"""Strands as implicit discrete elastic rods: the stage that owns their state and advances it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from plait.solver.diagnostics import Diverged
+from plait.solver.model import Interval, Model
+from plait.solver.state import State
+from plait.solver.strands import rest
+from plait.solver.strands.kernels import strand_kernels
+from plait.solver.strands.layout import Layout, build_layout
+from plait.solver.strands.types import rod_types
+
+# Chunks of strands a thread works through, one strand's scratch each: a few, so that threads end together.
+CHUNKS_A_THREAD = 8
+# A strand that does not converge is stepped in halves, quarters, ... of its substep, down to this many parts.
+MAX_PIECES = 16
+
+
+def build(model: Model, state: State) -> StrandsStage | None:
+    """The stage of the scene's strands, at rest at `model.start_time`; None without strands."""
+    if not model.scene.strands:
+        return None
+    return StrandsStage(model, state)
+
+
+class StrandsStage:
+    """All strands of a scene, one direct solve per strand and Newton iteration.
+
+    State arrays (see `RodState`): strands/position, velocity, director, twist, tension, root_position,
+    root_rotation.
+    """
+
+    name = "strands"
+
+    def __init__(self, model: Model, state: State) -> None:
+        self._model = model
+        self._launcher = model.launcher
+        self._kinematics = model.parts["kinematics"]
+        self.layout = build_layout(model.scene)
+        self.real = _precision(model)
+        self._types = rod_types(self.real)
+        self._kernels = strand_kernels(self.real)
+        self._place(state)
+        self._allocate()
+        self._method = self._make_method()
+        self._iterations: list[np.ndarray] = []
+        self._unconverged = 0
+        self._subdivided = 0
+
+    # -- building ------------------------------------------------------------------------------------------
+
+    def _place(self, state: State) -> None:
+        """Rest shape and constants; the drawn shape carried rigidly to where its root is now."""
+        layout, device, launcher = self.layout, self._launcher.device, self._launcher
+        strand = layout.node_strand
+        count = layout.node_count
+        first_node = wp.array(layout.first_node, dtype=wp.int32, device=device)
+        position = wp.array(layout.position, dtype=wp.vec3d, device=device)
+        director = wp.zeros(count, dtype=wp.vec3d, device=device)
+        curvature = wp.zeros(count, dtype=rest.vec2, device=device)
+        rest_twist = wp.zeros(count, dtype=wp.float64, device=device)
+        tension = wp.zeros(count, dtype=wp.float64, device=device)
+        bend = layout.bend[strand] / layout.voronoi
+        twist = layout.twist[strand] / layout.voronoi
+        strand_count = layout.strand_count
+        launcher.launch(rest.transport_frames, strand_count, [first_node, position], [director])
+        launcher.launch(rest.authored_rest, strand_count, [first_node, position, director], [curvature])
+        sagfree = np.flatnonzero(layout.sagfree).astype(np.int32)
+        if len(sagfree):
+            force = np.einsum("nij,ni->nj", layout.rest_rotation[strand], layout.force)
+            launcher.launch(
+                rest.sagfree_rest,
+                len(sagfree),
+                [
+                    wp.array(sagfree, dtype=wp.int32, device=device),
+                    first_node,
+                    position,
+                    director,
+                    wp.array(force, dtype=wp.vec3d, device=device),
+                    wp.array(bend, dtype=wp.float64, device=device),
+                    wp.array(twist, dtype=wp.float64, device=device),
+                ],
+                [curvature, rest_twist, tension],
+            )
+        strain = tension.numpy() / layout.stretch[strand]
+        root_nodes = layout.first_node[:-1] + 1
+
+        real, types = self.real, self._types
+        rods = types.Rods()
+        rods.first_node = first_node
+
+        def hold(values: np.ndarray, dtype: Any = real) -> wp.array:
+            return wp.array(values, dtype=dtype, device=device)
+
+        rods.mass = hold(layout.mass)
+        rods.force = hold(layout.force, types.vec3)
+        rods.rest_length = hold(layout.edge_length / (1.0 + strain))
+        rods.stretch = hold(layout.stretch)
+        rods.bend = hold(bend)
+        rods.twist = hold(twist)
+        rods.rest_curvature = hold(curvature.numpy(), types.vec2)
+        rods.rest_twist = hold(rest_twist.numpy())
+        rods.damping = hold(layout.damping)
+        segments = np.diff(layout.first_node) - 2
+        length = np.add.reduceat(
+            np.where(np.isin(np.arange(count), layout.first_node[:-1]), 0.0, layout.edge_length),
+            layout.first_node[:-1],
+        )
+        rods.segment = hold((length - 1.0) / segments)
+        ghosts = layout.first_node[:-1]
+        rods.ghost = hold(layout.position[ghosts] - layout.position[root_nodes], wp.vec3d)
+        director_rest = director.numpy()
+        rods.clamp_director = hold(director_rest[ghosts], wp.vec3d)
+        self.rods = rods
+
+        root_position = self._kinematics.root_position.numpy()
+        root_rotation = self._kinematics.root_rotation.numpy()
+        held = types.RodState()
+        rotation = root_rotation[strand]
+        relative = layout.position - layout.position[root_nodes][strand]
+        world = np.einsum("nij,nj->ni", rotation, relative) + root_position[strand]
+        held.position = hold(world, wp.vec3d)
+        held.velocity = wp.zeros(count, dtype=wp.vec3d, device=device)
+        held.director = hold(np.einsum("nij,nj->ni", rotation, director_rest), wp.vec3d)
+        held.twist = wp.zeros(count, dtype=wp.float64, device=device)
+        held.tension = hold(tension.numpy(), wp.float64)
+        held.root_position = hold(root_position, wp.vec3d)
+        held.root_rotation = hold(root_rotation, wp.mat33d)
+        self._held = held
+        for name in ("position", "velocity", "director", "twist", "tension", "root_position", "root_rotation"):
+            state.arrays[f"strands/{name}"] = getattr(held, name)
+
+    def _allocate(self) -> None:
+        device, types, real = self._launcher.device, self._types, self.real
+        strands = self.layout.strand_count
+        longest = int(np.diff(self.layout.first_node).max())
+        self._chunks = strands if device.is_cuda else min(strands, CHUNKS_A_THREAD * self._launcher.threads)
+        scratch = types.Scratch()
+        # On a GPU, neighbouring threads read neighbouring entries; on a CPU a strand is one run.
+        scratch.chunk_stride, scratch.node_stride = (1, self._chunks) if device.is_cuda else (longest, 1)
+        size = longest * self._chunks
+        for name in (
+            "start",
+            "start_velocity",
+            "stage_velocity",
+            "start_of_stage",
+            "target",
+            "position",
+            "director",
+        ):
+            setattr(scratch, name, wp.zeros(size, dtype=types.vec3, device=device))
+        for name in ("twist", "tension"):
+            setattr(scratch, name, wp.zeros(size, dtype=real, device=device))
+        for name in ("factor", "lower1", "lower2"):
+            setattr(scratch, name, wp.zeros(size, dtype=types.mat44, device=device))
+        scratch.solution = wp.zeros(size, dtype=types.vec4, device=device)
+        self._scratch = scratch
+        report = types.Report()
+        for name in ("iterations", "unconverged", "pieces"):
+            setattr(report, name, wp.zeros(strands, dtype=wp.int32, device=device))
+        self._report = report
+        self._active = wp.ones(strands, dtype=wp.int32, device=device)
+        self._measures = wp.zeros((strands, len(MEASURES)), dtype=wp.float64, device=device)
+
+    def _make_method(self) -> Any:
+        settings = self._model.settings.strands
+        method = self._types.Method()
+        method.stages = 2 if settings.integrator == "sdirk2" else 1
+        method.tolerance = settings.tolerance
+        method.max_iterations = settings.max_iterations
+        method.max_pieces = MAX_PIECES
+        return method
+
+    # -- stepping ------------------------------------------------------------------------------------------
+
+    def begin_frame(self, state: State, frame: Interval) -> None:
+        self._iterations.clear()
+        self._unconverged = self._subdivided = 0
+
+    def step(self, state: State, substep: Interval) -> None:
+        """One implicit substep of every strand."""
+        self._method.step = substep.length
+        self._solve(self._method, self._held)
+        self._count()
+
+    def _solve(self, method: Any, out: Any) -> None:
+        roots = self._types.Roots()
+        roots.position = self._kinematics.root_position
+        roots.rotation = self._kinematics.root_rotation
+        nodes_a_chunk = max(1, self.layout.node_count // self._chunks)
+        self._launcher.launch(
+            self._kernels.solve,
+            self._chunks,
+            [self._chunks, self._active, method, self.rods, self._held, roots, self._scratch],
+            [out, self._report],
+            work_per_item=nodes_a_chunk,
+        )
+
+    def _count(self) -> None:
+        self._iterations.append(self._report.iterations.numpy().copy())
+        self._unconverged += int(self._report.unconverged.numpy().sum())
+        self._subdivided += int((self._report.pieces.numpy() > 1).sum())
+
+    def relax(self, tolerance: float = 1e-6, max_iterations: int = 200) -> np.ndarray:
+        """Moves every strand to static equilibrium at the present roots; velocities become zero.
+
+        tolerance: as `StrandSettings.tolerance`. Returns the Newton iterations of each strand, (strand_count,)
+        int32, negative where they did not converge; such a strand is left where the iteration ended.
+        """
+        method = self._make_method()
+        method.step, method.stages, method.max_pieces = 0.0, 1, 1
+        method.tolerance, method.max_iterations = tolerance, max_iterations
+        self._solve(method, self._held)
+        self._held.velocity.zero_()
+        return np.where(self._report.unconverged.numpy() > 0, -1, 1) * self._report.iterations.numpy()
+
+    def end_frame(self, state: State, frame: Interval) -> dict[str, Any]:
+        """Iterations, strains and energies of the frame; raises `Diverged` naming the strand that is not finite."""
+        self._launcher.launch(
+            self._kernels.measure, self.layout.strand_count, [self.rods, self._held], [self._measures]
+        )
+        values = self._measures.numpy()
+        finite = np.isfinite(values).all(axis=1)
+        if not finite.all():
+            raise Diverged("position", self.layout.where(int(np.argmin(finite))), frame.end)
+        iterations = np.concatenate(self._iterations) if self._iterations else np.zeros(1)
+        total = dict(zip(MEASURES, values.sum(axis=0), strict=True))
+        return {
+            "iterations_mean": float(iterations.mean()),
+            "iterations_max": int(iterations.max()),
+            "unconverged": self._unconverged,
+            "subdivided": self._subdivided,
+            "strain_max": float(values[:, 0].max()),
+            "strain_median": float(np.median(values[:, 0])),
+            "kinetic_energy": float(total["kinetic"]),
+            "elastic_energy": float(total["elastic"]),
+            "potential_energy": float(total["potential"]),
+        }
+
+    # -- results -------------------------------------------------------------------------------------------
+
+    def points(self, prim: int) -> np.ndarray:
+        """(point_count, 3) float64 [m]: prim's points in the artist's order, scene world."""
+        return self._held.position.numpy()[self._nodes(prim)]
+
+    def velocities(self, prim: int) -> np.ndarray:
+        """(point_count, 3) float64 [m/s] at the same points."""
+        return self._held.velocity.numpy()[self._nodes(prim)]
+
+    def _nodes(self, prim: int) -> np.ndarray:
+        layout: Layout = self.layout
+        return layout.point_node[layout.prim_points[prim] : layout.prim_points[prim + 1]]
+
+
+MEASURES = ("strain", "kinetic", "elastic", "potential")
+
+
+def _precision(model: Model) -> type:
+    settings = model.settings
+    if settings.precision == "float64" or settings.strands.precision == "float64":
+        return wp.float64
+    if settings.strands.precision == "float32" or model.launcher.device.is_cuda:
+        return wp.float32
+    return wp.float64
