@@ -19,7 +19,7 @@ def block_functions(real: type) -> SimpleNamespace:
 
     @wp.func(module=module)
     def cholesky(a: mat44):
-        """Factor of the symmetric block a (lower triangle read); the smallest pivot tells whether it is definite."""
+        """Factor of symmetric a (lower triangle read), and the smallest pivot: positive if a is definite."""
         zero = real(0.0)
         one = real(1.0)
         p0 = a[0, 0]

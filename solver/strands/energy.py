@@ -1,16 +1,16 @@
 """Discrete elastic rods: energy, gradient and Hessian of one joint (Bergou et al. 2008, 2010).
 
-Variables of the joint between edges a (before) and b (after): the edge vectors and the turns of the two directors about
-their own edge, in the chart centred on the current shape: an edge e + de carries the director
-R(t', turn) P(t -> t') m, with P the parallel transport. No angle or reference frame is stored, so the derivatives are
-those at the centre.
+Variables of the joint between edges a (before) and b (after): the edge vectors and the turns of the two directors
+about their own edge, in the chart centred on the current shape: an edge e + de carries the director
+R(t', turn) P(t -> t') m, with P the parallel transport. No angle or reference frame is stored, so the derivatives
+are those at the centre.
 
 Energy of a joint, with c = ta . tb, curvature binormal kb = 2 ta x tb / (1 + c) and the rest curvature b carried
 by the directors, b = 1/2 sum over both edges of (k1 m2 - k2 m1):
     bend  1/2 B (|kb|^2 - 2 kb . b + |k|^2),  |kb|^2 = 8 / (1 + c) - 4,  B = EI / Voronoi length
     twist 1/2 G (twist - rest twist)^2
-For equal bending stiffness in both directions this equals the usual 1/2 B |kappa - k|^2 with edge-averaged directors,
-up to |kb|^2 sin^2(twist / 2), a term of the order of the discretisation's error; its Hessian needs one
+For equal bending stiffness in both directions this equals the usual 1/2 B |kappa - k|^2 with edge-averaged
+directors, up to |kb|^2 sin^2(twist / 2), a term of the order of the discretisation's error; its Hessian needs one
 contracted second derivative of the curvature instead of two.
 """
 

@@ -19,9 +19,9 @@ def strand_kernels(real: type) -> SimpleNamespace:
     types = rod_types(real)
     newton = newton_functions(real)
     joints = joint_functions(real)
-    vec2, vec3, module = types.vec2, types.vec3, types.module
-    Rods, RodState, Roots = types.Rods, types.RodState, types.Roots  # noqa: N806
-    Method, Scratch, Report = types.Method, types.Scratch, types.Report  # noqa: N806
+    vec3, module = types.vec3, types.module
+    Rods, RodState, Roots = types.Rods, types.RodState, types.Roots
+    Method, Scratch, Report = types.Method, types.Scratch, types.Report
     eliminate, substitute, advance = newton.eliminate, newton.substitute, newton.advance
     joint_energy = joints.joint_energy
 
@@ -64,8 +64,8 @@ def strand_kernels(real: type) -> SimpleNamespace:
     def converge(rods: Rods, scratch: Scratch, method: Method, strand: int, base: int, stride: int, inertia: real):
         """Newton's method. Returns iterations and whether the last full step was within the tolerance."""
         small = method.tolerance * rods.segment[strand]
-        iterations = int(0)
-        converged = bool(False)
+        iterations = wp.int32(0)
+        converged = wp.bool(False)
         while iterations < method.max_iterations and not converged:
             iterations += 1
             definite = eliminate(rods, scratch, strand, base, stride, inertia, real(1.0))
@@ -97,7 +97,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
         shift: vec3,
         step: real,
     ):
-        """Targets of an implicit stage, x = x0 + h v, v = v0 + h a, from the piece's start; returns the inertia [1/s2].
+        """Targets of an implicit stage, x = x0 + h v, v = v0 + h a; returns the inertia [1/s2].
 
         Damping acts on the velocity relative to the root's rigid motion over the piece (turn, centre, shift in
         time `step`).  explicit_step: 0, or (1 - gamma) step, by which SDIRK2's first stage enters its second.
@@ -145,8 +145,8 @@ def strand_kernels(real: type) -> SimpleNamespace:
         step = real(part * method.step)
         gamma = wp.float64(SDIRK2_GAMMA)
         load(state, scratch, first, count, base, stride, root)
-        iterations = int(0)
-        converged = bool(True)
+        iterations = wp.int32(0)
+        converged = wp.bool(True)
         for stage in range(pieces * method.stages):
             if converged or stubborn:
                 piece = stage / method.stages
@@ -215,7 +215,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
                 continue
             root = roots.position[strand]
             rotation = roots.rotation[strand]
-            pieces = int(1)
+            pieces = wp.int32(1)
             iterations, converged = march(
                 rods, state, scratch, method, strand, base, stride, root, rotation, 1, method.max_pieces == 1
             )

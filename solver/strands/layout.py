@@ -19,7 +19,7 @@ class Layout:
 
     first_node: (strand_count + 1,) int32.  point_node: (point_count,) int32, the node of each artist's point.
     prim_strands: (prim_count + 1,) int32, strands of each prim.  node_strand: (node_count,) int32.
-    position: (node_count, 3) float64 [m], rest space.  edge_length: (node_count,) [m], as drawn; 1 in unused slots.
+    position: (node_count, 3) float64 [m], rest space.  edge_length: (node_count,) [m], as drawn; 1 where unused.
     voronoi: (node_count,) [m] of the vertex at the node; 1 at ghosts and tips, which have none.
     mass: (node_count,) [kg].  radius: (node_count,) [m].
     stretch [N], bend, twist [N m2], damping [1/s], friction: (strand_count,).

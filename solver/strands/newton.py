@@ -22,8 +22,8 @@ def newton_functions(real: type) -> SimpleNamespace:
     joints = joint_functions(real)
     blocks = block_functions(real)
     vec3, vec4, mat33, mat44, module = types.vec3, types.vec4, types.mat33, types.mat44, types.module
-    Rods, Scratch = types.Rods, types.Scratch  # noqa: N806
-    Joint, joint, transport, signed_twist = joints.Joint, joints.joint, joints.transport, joints.signed_twist  # noqa: N806
+    Rods, Scratch = types.Rods, types.Scratch
+    Joint, joint, transport, signed_twist = joints.Joint, joints.joint, joints.transport, joints.signed_twist
     cholesky, divide, forward, backward = blocks.cholesky, blocks.divide, blocks.forward, blocks.backward
 
     @wp.func(module=module)
@@ -57,7 +57,7 @@ def newton_functions(real: type) -> SimpleNamespace:
         lower1_before = mat44()
         y2 = vec4()
         y1 = vec4()
-        definite = bool(True)
+        definite = wp.bool(True)
         for vertex in range(1, count + 1):
             here = Joint()
             next_force = vec3()

@@ -1,8 +1,8 @@
 """Rest shapes: frames along the drawn shape, and the curvature, twist and lengths that keep it as drawn.
 
-'authored': the drawn shape is free of stress. 'sagfree': it is in equilibrium with gravity and loads. All of a rod's
-energy but a constant is linear in its rest curvature and twist, so the inverse problem is a linear one of three
-unknowns a vertex, solved from the free tip to the root: with F the sum of the forces beyond edge k, the balance is
+'authored': the drawn shape is free of stress. 'sagfree': it is in equilibrium with gravity and loads. All of a
+rod's energy but a constant is linear in its rest curvature and twist, so the inverse problem is a linear one of
+three unknowns a vertex, solved from the free tip to the root: with F the sum of the forces beyond edge k,
 
     tension t_k + dE_k/de_k + dE_(k+1)/de_k = F      (two components across the edge, one along)
     dE_k/dturn_k + dE_(k+1)/dturn_k = 0

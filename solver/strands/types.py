@@ -1,8 +1,8 @@
 """The rods' device data, in the arithmetic precision asked for.
 
 Layout: every strand has a ghost node behind its root, then its points, root first; node and edge slots share
-global indices (edge k joins nodes k and k + 1, vertex k is the joint of edges k - 1 and k; a strand's last edge slot
-is unused). All strands follow one another, strand s owning nodes first_node[s] to first_node[s + 1] - 1.
+global indices (edge k joins nodes k and k + 1, vertex k is the joint of edges k - 1 and k; a strand's last edge
+slot is unused). All strands follow one another, strand s owning nodes first_node[s] to first_node[s + 1] - 1.
 """
 
 from functools import cache, partial

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from plait.solver.build import build
 from plait.solver.scene import Motion, RootBinding, Scene, StaticMotion, Strands, Surface
 from plait.solver.settings import Settings

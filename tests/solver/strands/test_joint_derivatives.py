@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
+
 from plait.solver.strands.energy import joint_functions
 from plait.solver.strands.types import rod_types
 
