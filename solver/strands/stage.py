@@ -107,11 +107,9 @@ class StrandsStage:
         rods.rest_twist = hold(rest_twist.numpy())
         rods.damping = hold(layout.damping)
         segments = np.diff(layout.first_node) - 2
-        length = np.add.reduceat(
-            np.where(np.isin(np.arange(count), layout.first_node[:-1]), 0.0, layout.edge_length),
-            layout.first_node[:-1],
-        )
-        rods.segment = hold((length - 1.0) / segments)
+        length = np.add.reduceat(layout.edge_length, layout.first_node[:-1])
+        length -= layout.edge_length[layout.first_node[:-1]] + 1.0  # the ghost's edge and the unused slot
+        rods.segment = hold(length / segments)
         ghosts = layout.first_node[:-1]
         rods.ghost = hold(layout.position[ghosts] - layout.position[root_nodes], wp.vec3d)
         director_rest = director.numpy()
@@ -220,7 +218,7 @@ class StrandsStage:
         return np.where(self._report.unconverged.numpy() > 0, -1, 1) * self._report.iterations.numpy()
 
     def end_frame(self, state: State, frame: Interval) -> dict[str, Any]:
-        """Iterations, strains and energies of the frame; raises `Diverged` naming the strand that is not finite."""
+        """Iterations, strains and energies of the frame; raises `Diverged` for a strand that is not finite."""
         self._launcher.launch(
             self._kernels.measure, self.layout.strand_count, [self.rods, self._held], [self._measures]
         )

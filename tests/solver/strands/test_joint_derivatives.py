@@ -35,8 +35,8 @@ def derivatives(
     la = wp.length(a)
     lb = wp.length(b)
     j = JOINT(
-        a / la, REAL(1.0) / la, b / lb, REAL(1.0) / lb, directors[0], directors[1], twist, bend, stiffness, curvature,
-        rest_twist, beta,
+        a / la, REAL(1.0) / la, b / lb, REAL(1.0) / lb, directors[0], directors[1], twist, bend, stiffness,
+        curvature, rest_twist, beta,
     )  # fmt: skip
     for r in range(3):
         gradient_out[r] = j.gradient_ea[r]
