@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Tf, Vt
+from pxr import Sdf, Tf, Usd, Vt
 
-from plait.pipeline.errors import PlaitError
+from plait.pipeline.errors import InputError, PlaitError
 from plait.pipeline.files import replacing
 from plait.pipeline.shot import StageInfo
 from plait.pipeline.targets import VALUE_TYPES, Target
@@ -67,24 +67,25 @@ def top_layer(
     root, source_root = layer.pseudoRoot, source.pseudoRoot
     for key in source_root.ListInfoKeys():
         if key not in _NOT_COPIED:
-            root.SetInfo(key, _anchored(source_root.GetInfo(key), source, folder))
+            root.SetInfo(key, anchored(source_root.GetInfo(key), source, folder))
     root.SetInfo("metersPerUnit", info.meters_per_unit)
     root.SetInfo("upAxis", info.up_axis)
     layer.timeCodesPerSecond = info.time_codes_per_second
     layer.framesPerSecond = info.frames_per_second
     if codes and not source.HasStartTimeCode() and not source.HasEndTimeCode():
         layer.startTimeCode, layer.endTimeCode = codes[0], codes[-1]
-    held = _anchored(dict(source.customLayerData), source, folder)
+    held = anchored(dict(source.customLayerData), source, folder)
     layer.customLayerData = {**held, RECORD: recordable(record)}
     layer.subLayerPaths[:] = [asset_path(path, folder) for path in sublayers]
     return layer
 
 
-def _anchored(value: Any, source: Sdf.Layer, folder: Path) -> Any:
+def anchored(value: Any, source: Sdf.Layer, folder: Path) -> Any:
+    """`value` of a layer's metadata as a layer in `folder` must say it: relative asset paths stay true."""
     if isinstance(value, Sdf.AssetPath) and value.path.startswith("."):
         return Sdf.AssetPath(asset_path(Path(source.ComputeAbsolutePath(value.path)), folder))
     if isinstance(value, dict):
-        return {key: _anchored(held, source, folder) for key, held in value.items()}
+        return {key: anchored(held, source, folder) for key, held in value.items()}
     return value
 
 
@@ -212,6 +213,14 @@ def _reason(error: Exception) -> str:
         return error.strerror or str(error)
     found = re.search(r": '(?:Error occurred writing file: )?([^'\n]*)", str(error))
     return found[1] if found else "USD gave no reason"
+
+
+def open_stage(path: Path) -> Usd.Stage:
+    """The stage at `path`; InputError when there is none."""
+    try:
+        return Usd.Stage.Open(str(path))
+    except Tf.ErrorException as error:
+        raise InputError("cannot be opened as USD", file=path) from error
 
 
 def simulated_prims(layer: Sdf.Layer) -> tuple[str, ...]:

@@ -97,7 +97,7 @@ def _authored(prim: Usd.Prim, name: str) -> bool:
     return bool(attribute) and attribute.HasAuthoredValue()
 
 
-class Source:
+class Overridden:
     """The part of the source stage that a result overrides.
 
     outputs, bounds: the simulated prims, and those above whose bounds are written anew or blocked.

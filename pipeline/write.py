@@ -5,6 +5,7 @@
         overrides.usda   value-clip metadata and what must hold at all times; replaced whole when a chunk is added
         manifest.usda    which attributes the clips give
         chunk.0001.usdc  time samples of so many frames; replaced whole
+        checkpoint.npz   the driver's, to resume from
 
 A chunk begins with the last sample of the one before it and plays from there: USD interpolates within a clip,
 never across two, and so motion is the same between chunks as within them.
@@ -26,9 +27,11 @@ from plait.pipeline import layers
 from plait.pipeline.errors import InputError, PlaitError, UsageError
 from plait.pipeline.layers import Sample
 from plait.pipeline.shot import CurveFrame, Shot
-from plait.pipeline.targets import Source
+from plait.pipeline.targets import Overridden
 
 OVERRIDES, MANIFEST = "overrides.usda", "manifest.usda"
+# What a resumed run goes on from lies with its chunks, and goes when they go.
+CHECKPOINT = "checkpoint.npz"
 SUFFIXES = (".usda", ".usd", ".usdc")
 
 
@@ -72,7 +75,7 @@ class CacheWriter:
         self.top_layer = top_layer.absolute()
         self.folder = cache_folder(self.top_layer)
         self._rate = shot.info.time_codes_per_second
-        self._source = Source(shot)
+        self._source = Overridden(shot)
         self._lay_plan(samples, chunk)
         self._record = {
             **provenance,
@@ -195,6 +198,8 @@ class CacheWriter:
     def _lay_out(self, shot: Shot, taken_up: bool) -> None:
         """Everything but the chunks, in an order that opens in USD at every moment; clears what is left over."""
         self.top_layer.parent.mkdir(parents=True, exist_ok=True)
+        if not taken_up:
+            (self.folder / CHECKPOINT).unlink(missing_ok=True)
         sublayers = [shot.info.path]
         if self._source.outputs:
             self.folder.mkdir(exist_ok=True)

@@ -1,0 +1,138 @@
+"""Is a written stage sound? USD's own validators against those of its source, and what they do not look at."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSkel, UsdValidation
+
+from plait.pipeline import layers
+
+# Own checks compare float32 sums with float32 bounds: a few units in the last place.
+_ROUNDING = 4.0 * float(np.finfo(np.float32).eps)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing wrong: which check says so, at which prim or property ('' for the stage), and its words."""
+
+    check: str
+    place: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"<{self.place}> {self.message} ({self.check})"
+
+
+def validate(result: Path, source: Path | None = None) -> list[Finding]:
+    """What is wrong with `result`: validator findings that `source` does not have, and all of the own checks.
+
+    source: by default the weakest sublayer of `result`. A flattened result has none, and answers for everything.
+    Raises InputError for a file that does not open.
+    """
+    stage = layers.open_stage(result)
+    if source is None and stage.GetRootLayer().subLayerPaths:
+        root = stage.GetRootLayer()
+        source = Path(root.ComputeAbsolutePath(root.subLayerPaths[-1]))
+    inherited = Counter(map(_key, validator_findings(layers.open_stage(source)))) if source else Counter()
+    new = []
+    for finding in validator_findings(stage):
+        if inherited[_key(finding)] > 0:
+            inherited[_key(finding)] -= 1
+        else:
+            new.append(finding)
+    return [*new, *own_findings(stage)]
+
+
+def validator_findings(stage: Usd.Stage) -> list[Finding]:
+    """What every validator that this USD has says of `stage`: errors, warnings and remarks alike."""
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    errors = UsdValidation.ValidationContext(validators).Validate(stage)
+    return [Finding(str(error.GetIdentifier()), _place(error), error.GetMessage()) for error in errors]
+
+
+def _place(error: UsdValidation.ValidationError) -> str:
+    paths = []
+    for site in error.GetSites():
+        if site.IsProperty():
+            paths.append(str(site.GetProperty().GetPath()))
+        elif site.IsPrim():
+            paths.append(str(site.GetPrim().GetPath()))
+    return " ".join(sorted(paths))
+
+
+def _key(finding: Finding) -> tuple[str, str]:
+    """Findings are the same in source and result when the check and the place are: messages name files."""
+    return finding.check, finding.place
+
+
+def own_findings(stage: Usd.Stage) -> list[Finding]:
+    """Of the simulated prims: skinned a second time, not finite, changing counts, extents that are too small."""
+    prims = layers.simulated_prims(stage.GetRootLayer())
+    skinned = skinned_prims(stage)
+    found = [Finding("plait:SkinnedTwice", path, "is skinned again") for path in prims if path in skinned]
+    for path in prims:
+        prim = stage.GetPrimAtPath(path)
+        if not prim:
+            found.append(Finding("plait:Missing", path, "is not on the stage"))
+        elif UsdGeom.PointBased(prim):
+            found.extend(_sample_findings(UsdGeom.PointBased(prim)))
+    return found
+
+
+def skinned_prims(stage: Usd.Stage) -> set[str]:
+    """Paths of all prims that UsdSkel skins."""
+    skinned = set()
+    predicate = Usd.TraverseInstanceProxies()
+    for prim in Usd.PrimRange.Stage(stage, predicate):
+        if prim.IsA(UsdSkel.Root):
+            cache = UsdSkel.Cache()
+            cache.Populate(UsdSkel.Root(prim), predicate)
+            for binding in cache.ComputeSkelBindings(UsdSkel.Root(prim), predicate):
+                skinned.update(str(query.GetPrim().GetPath()) for query in binding.GetSkinningTargets())
+    return skinned
+
+
+def _sample_findings(prim: UsdGeom.PointBased) -> Iterator[Finding]:
+    path, points = str(prim.GetPath()), prim.GetPointsAttr()
+    count = _expected_count(prim)
+    for code in points.GetTimeSamples():
+        place = f"at frame {code:g}"
+        values = {
+            attribute.GetName(): np.array(attribute.Get(code), np.float32)
+            for attribute in (points, prim.GetVelocitiesAttr(), prim.GetExtentAttr(), prim.GetNormalsAttr())
+            if attribute.HasAuthoredValue() and attribute.Get(code) is not None
+        }
+        for name, value in values.items():
+            if not np.isfinite(value).all():
+                yield Finding("plait:NotFinite", f"{path}.{name}", f"has values that are not finite {place}")
+        sizes = {name: len(values[name]) for name in ("points", "velocities") if name in values}
+        count = sizes["points"] if count is None else count
+        for name, size in sizes.items():
+            if size != count:
+                yield Finding("plait:Count", f"{path}.{name}", f"has {size} values, not {count}, {place}")
+        if "extent" not in values or not _contains(values["extent"], values["points"], prim, code):
+            yield Finding("plait:Extent", f"{path}.extent", f"does not hold all points {place}")
+
+
+def _expected_count(prim: UsdGeom.PointBased) -> int | None:
+    """How many points the topology asks for; None where it does not tell."""
+    curves = UsdGeom.Curves(prim)
+    counts = curves.GetCurveVertexCountsAttr().Get(Usd.TimeCode.EarliestTime()) if curves else None
+    return None if counts is None else int(sum(counts))
+
+
+def _contains(extent: np.ndarray, points: np.ndarray, prim: UsdGeom.PointBased, code: float) -> bool:
+    """Whether the points are inside, each widened by half its own width where widths are per point or constant."""
+    half = np.zeros((1, 1), np.float32)
+    curves = UsdGeom.Curves(prim)
+    widths = curves.GetWidthsAttr().Get(code) if curves else None
+    if widths is not None and len(widths) in (1, len(points)):
+        half = 0.5 * np.array(widths, np.float32)[:, None]
+    slack = _ROUNDING * float(np.abs(extent).max())
+    inside = (points - half >= extent[0] - slack) & (points + half <= extent[1] + slack)
+    return bool(inside.all())
