@@ -105,10 +105,12 @@ class CacheWriter:
         Raises PlaitError when a value is not finite or the disk does not take the chunk, ValueError for a code
         out of order, a prim missing or unknown, an array of the wrong size: mistakes of the caller.
         """
+        if not self._source.outputs:
+            return
         position = self._positions.get(float(code))
         if position is None or position > self._next:
             raise ValueError(f"the sample at {code} is not the one due")
-        if position < self._next or not self._source.outputs:
+        if position < self._next:
             return
         self._pending.append(self._sample(float(code), results))
         self._next += 1
