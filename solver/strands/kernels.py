@@ -5,11 +5,14 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from plait.solver.contact.planes import ContactPlanes
+from plait.solver.strands.contact import contact_functions
 from plait.solver.strands.energy import joint_functions
 from plait.solver.strands.newton import newton_functions
 from plait.solver.strands.types import rod_types
 
 SDIRK2_GAMMA = 0.2928932188134524  # 1 - 1 / sqrt 2: L-stable and second order (Alexander 1977)
+SAFETY = 3.0  # on the expected next Newton step
 LARGEST_TURN = 1.0  # [rad] an edge or a director in one Newton iteration
 
 
@@ -24,6 +27,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
     Method, Scratch, Report = types.Method, types.Scratch, types.Report
     eliminate, substitute, advance = newton.eliminate, newton.substitute, newton.advance
     joint_energy = joints.joint_energy
+    touching = contact_functions(real).touching
 
     @wp.func(module=module)
     def part_of_rotation(rotation: wp.mat33d, part: wp.float64):
@@ -48,6 +52,18 @@ def strand_kernels(real: type) -> SimpleNamespace:
             scratch.tension[slot] = real(state.tension[first + k])
 
     @wp.func(module=module)
+    def load_guess(
+        guess: RodState, scratch: Scratch, first: int, count: int, base: int, stride: int, origin: wp.vec3d
+    ):
+        """Shape, twist and dual tension from which Newton starts."""
+        for k in range(count):
+            slot = base + k * stride
+            scratch.position[slot] = vec3(guess.position[first + k] - origin)
+            scratch.director[slot] = vec3(guess.director[first + k])
+            scratch.twist[slot] = real(guess.twist[first + k])
+            scratch.tension[slot] = real(guess.tension[first + k])
+
+    @wp.func(module=module)
     def carry(
         scratch: Scratch, count: int, base: int, stride: int, turn: wp.mat33d, centre: wp.vec3d, shift: wp.vec3d
     ):
@@ -61,18 +77,40 @@ def strand_kernels(real: type) -> SimpleNamespace:
             scratch.director[slot] = rotation * scratch.director[slot]
 
     @wp.func(module=module)
-    def converge(rods: Rods, scratch: Scratch, method: Method, strand: int, base: int, stride: int, inertia: real):
-        """Newton's method. Returns iterations and whether the last full step was within the tolerance."""
+    def converge(
+        rods: Rods,
+        scratch: Scratch,
+        method: Method,
+        planes: ContactPlanes,
+        constrained: bool,
+        origin: wp.vec3d,
+        strand: int,
+        base: int,
+        stride: int,
+        inertia: real,
+    ):
+        """Newton's method. Returns iterations and whether what is left is within the tolerance.
+
+        What is left after a full step is bounded by the step itself, and by the next one: Newton contracts at
+        least as fast as from the step before to this one, with a factor for safety.
+        """
         small = method.tolerance * rods.segment[strand]
         iterations = wp.int32(0)
+        previous = real(0.0)
         converged = wp.bool(False)
         while iterations < method.max_iterations and not converged:
             iterations += 1
-            definite = eliminate(rods, scratch, strand, base, stride, inertia, real(1.0))
+            definite = eliminate(
+                rods, scratch, planes, constrained, origin, strand, base, stride, inertia, real(1.0)
+            )
             if not definite:
-                definite = eliminate(rods, scratch, strand, base, stride, inertia, real(0.5))
+                definite = eliminate(
+                    rods, scratch, planes, constrained, origin, strand, base, stride, inertia, real(0.5)
+                )
             if not definite:
-                definite = eliminate(rods, scratch, strand, base, stride, inertia, real(0.0))
+                definite = eliminate(
+                    rods, scratch, planes, constrained, origin, strand, base, stride, inertia, real(0.0)
+                )
             if not definite:
                 break
             furthest, turn = substitute(rods, scratch, strand, base, stride)
@@ -80,7 +118,11 @@ def strand_kernels(real: type) -> SimpleNamespace:
             if turn > real(LARGEST_TURN):
                 fraction = real(LARGEST_TURN) / turn
             advance(rods, scratch, strand, base, stride, fraction)
-            converged = fraction == real(1.0) and furthest <= small
+            expected = furthest
+            if fraction == real(1.0) and previous > furthest:
+                expected = wp.min(furthest, real(SAFETY) * furthest * (furthest / previous))
+            converged = fraction == real(1.0) and expected <= small
+            previous = wp.where(fraction == real(1.0), furthest, real(0.0))
         return iterations, converged
 
     @wp.func(module=module)
@@ -122,6 +164,9 @@ def strand_kernels(real: type) -> SimpleNamespace:
         state: RodState,
         scratch: Scratch,
         method: Method,
+        planes: ContactPlanes,
+        constrained: bool,
+        result: RodState,
         strand: int,
         base: int,
         stride: int,
@@ -132,7 +177,8 @@ def strand_kernels(real: type) -> SimpleNamespace:
     ):
         """The substep in `pieces` equal parts. Returns iterations and whether all of them converged.
 
-        Gives up at the first part that does not converge unless `stubborn`.
+        Gives up at the first part that does not converge unless `stubborn`. A single solve may start from
+        `result`, see `Method.warm`.
         """
         first = rods.first_node[strand]
         count = rods.first_node[strand + 1] - first
@@ -164,6 +210,8 @@ def strand_kernels(real: type) -> SimpleNamespace:
                         explicit_step = real(rest) * step
                         turn_rest = part_of_rotation(turn, rest)
                         carry(scratch, count, base, stride, turn_rest, centre + gamma * shift, rest * shift)
+                if method.warm != 0 and pieces * method.stages == 1:
+                    load_guess(result, scratch, first, count, base, stride, root)
                 if stage + 1 == pieces * method.stages:
                     # The clamp itself, exactly.
                     scratch.position[base] = vec3(rotation * rods.ghost[strand])
@@ -175,7 +223,9 @@ def strand_kernels(real: type) -> SimpleNamespace:
                         rods, scratch, strand, base, stride, h, explicit_step, types.mat33(turn), vec3(centre),
                         vec3(shift), step,
                     )  # fmt: skip
-                done, within = converge(rods, scratch, method, strand, base, stride, inertia)
+                done, within = converge(
+                    rods, scratch, method, planes, constrained, root, strand, base, stride, inertia
+                )
                 iterations += done
                 converged = converged and within
                 if step > real(0.0):
@@ -194,6 +244,8 @@ def strand_kernels(real: type) -> SimpleNamespace:
         first: int,
         chunk_count: int,
         active: wp.array(dtype=wp.int32),  # (strand_count,) 0: leave this strand alone
+        constrained: bool,
+        planes: ContactPlanes,
         method: Method,
         rods: Rods,
         state: RodState,
@@ -217,26 +269,32 @@ def strand_kernels(real: type) -> SimpleNamespace:
             rotation = roots.rotation[strand]
             pieces = wp.int32(1)
             iterations, converged = march(
-                rods, state, scratch, method, strand, base, stride, root, rotation, 1, method.max_pieces == 1
-            )
+                rods, state, scratch, method, planes, constrained, state_out, strand, base, stride, root, rotation,
+                1, method.max_pieces == 1,
+            )  # fmt: skip
             while not converged and pieces < method.max_pieces:
                 pieces *= 2
                 more, converged = march(
-                    rods, state, scratch, method, strand, base, stride, root, rotation, pieces,
-                    pieces >= method.max_pieces,
+                    rods, state, scratch, method, planes, constrained, state_out, strand, base, stride, root,
+                    rotation, pieces, pieces >= method.max_pieces,
                 )  # fmt: skip
                 iterations += more
             report_out.iterations[strand] = iterations
             report_out.pieces[strand] = pieces
             report_out.unconverged[strand] = wp.where(converged, 0, 1)
             begin = rods.first_node[strand]
+            contacts = wp.int32(0)
             for node in range(begin, rods.first_node[strand + 1]):
                 slot = base + (node - begin) * stride
-                state_out.position[node] = wp.vec3d(scratch.position[slot]) + root
+                x = wp.vec3d(scratch.position[slot]) + root
+                if constrained and touching(planes, node, x):
+                    contacts += 1
+                state_out.position[node] = x
                 state_out.velocity[node] = wp.vec3d(scratch.stage_velocity[slot])
                 state_out.director[node] = wp.vec3d(scratch.director[slot])
                 state_out.twist[node] = wp.float64(scratch.twist[slot])
                 state_out.tension[node] = wp.float64(scratch.tension[slot])
+            report_out.contacts[strand] = contacts
             state_out.root_position[strand] = root
             state_out.root_rotation[strand] = rotation
 

@@ -10,7 +10,9 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from plait.solver.contact.planes import ContactPlanes
 from plait.solver.strands.blocks import block_functions
+from plait.solver.strands.contact import contact_functions
 from plait.solver.strands.energy import joint_functions
 from plait.solver.strands.types import rod_types
 
@@ -21,15 +23,29 @@ def newton_functions(real: type) -> SimpleNamespace:
     types = rod_types(real)
     joints = joint_functions(real)
     blocks = block_functions(real)
+    contact = contact_functions(real)
     vec3, vec4, mat33, mat44, module = types.vec3, types.vec4, types.mat33, types.mat44, types.module
     Rods, Scratch = types.Rods, types.Scratch
     Joint, joint, transport, signed_twist = joints.Joint, joints.joint, joints.transport, joints.signed_twist
+    push, contact_stiffness = contact.push, contact.contact_stiffness
     cholesky, divide, forward, backward = blocks.cholesky, blocks.divide, blocks.forward, blocks.backward
 
     @wp.func(module=module)
-    def eliminate(rods: Rods, scratch: Scratch, strand: int, base: int, stride: int, inertia: real, beta: real):
+    def eliminate(
+        rods: Rods,
+        scratch: Scratch,
+        planes: ContactPlanes,
+        constrained: bool,
+        origin: wp.vec3d,
+        strand: int,
+        base: int,
+        stride: int,
+        inertia: real,
+        beta: real,
+    ):
         """Assembles and factors the strand's matrix, with the right-hand side taken along.
 
+        constrained: whether `planes` hold; `origin` is where positions in `scratch` are zero [m], world.
         inertia: [1/s2] times mass is the inertial stiffness.  beta: see `joint`.
         Returns whether every pivot was positive; the factor and the half-solved step are in `scratch`.
         """
@@ -39,6 +55,7 @@ def newton_functions(real: type) -> SimpleNamespace:
         zero = real(0.0)
         one = real(1.0)
         identity = wp.identity(n=3, dtype=real)
+        stiffness_of_contact = contact_stiffness(rods, strand, inertia)
 
         x = scratch.position[base + stride]
         e = x - scratch.position[base]
@@ -91,13 +108,18 @@ def newton_functions(real: type) -> SimpleNamespace:
             if k >= 1:
                 node = first + k + 1
                 mass = rods.mass[node] * inertia
-                offset = scratch.position[base + (k + 1) * stride] - scratch.target[base + (k + 1) * stride]
+                x_end = scratch.position[base + (k + 1) * stride]
+                offset = x_end - scratch.target[base + (k + 1) * stride]
                 g = mass * offset - rods.force[node] + edge_gradient - gradient_after
                 c0 = joint2.eb_ea
                 c1 = joint1.eb_ea
                 p = joint2.eb_tb + joint1.ea_ta
                 tx = p - joint1.eb_ta
                 d = mass * identity + edge_block + block_after - c1 - wp.transpose(c1)
+                if constrained:
+                    block, pushed = push(planes, node, x_end, origin, stiffness_of_contact, rods.slip[strand])
+                    d += block
+                    g += pushed
                 b = c0 + c1 - edge_block
                 ty = joint2.ea_tb - p
                 diagonal = mat44(

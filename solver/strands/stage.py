@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from plait.solver.contact.planes import allocate_planes
 from plait.solver.diagnostics import Diverged
 from plait.solver.model import Interval, Model
 from plait.solver.state import State
@@ -19,6 +20,8 @@ from plait.solver.strands.types import rod_types
 CHUNKS_A_THREAD = 8
 # A strand that does not converge is stepped in halves, quarters, ... of its substep, down to this many parts.
 MAX_PIECES = 16
+# Friction acts as a spring on ways below this part of a radius.
+SLIP = 1.0e-2
 
 
 def build(model: Model, state: State) -> StrandsStage | None:
@@ -110,6 +113,7 @@ class StrandsStage:
         length = np.add.reduceat(layout.edge_length, layout.first_node[:-1])
         length -= layout.edge_length[layout.first_node[:-1]] + 1.0  # the ghost's edge and the unused slot
         rods.segment = hold(length / segments)
+        rods.slip = hold(SLIP * layout.radius[root_nodes])
         ghosts = layout.first_node[:-1]
         rods.ghost = hold(layout.position[ghosts] - layout.position[root_nodes], wp.vec3d)
         director_rest = director.numpy()
@@ -159,9 +163,10 @@ class StrandsStage:
         scratch.solution = wp.zeros(size, dtype=types.vec4, device=device)
         self._scratch = scratch
         report = types.Report()
-        for name in ("iterations", "unconverged", "pieces"):
+        for name in ("iterations", "unconverged", "pieces", "contacts"):
             setattr(report, name, wp.zeros(strands, dtype=wp.int32, device=device))
         self._report = report
+        self._planes = allocate_planes(0, device)
         self._active = wp.ones(strands, dtype=wp.int32, device=device)
         self._measures = wp.zeros((strands, len(MEASURES)), dtype=wp.float64, device=device)
 
@@ -194,7 +199,7 @@ class StrandsStage:
         self._launcher.launch(
             self._kernels.solve,
             self._chunks,
-            [self._chunks, self._active, method, self.rods, self._held, roots, self._scratch],
+            [self._chunks, self._active, False, self._planes, method, self.rods, self._held, roots, self._scratch],
             [out, self._report],
             work_per_item=nodes_a_chunk,
         )

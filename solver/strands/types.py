@@ -45,6 +45,7 @@ def rod_types(real: type) -> SimpleNamespace:
         rest_twist: wp.array(dtype=real)  # (node_count,) [rad]
         damping: wp.array(dtype=real)  # (strand_count,) [1/s]
         segment: wp.array(dtype=real)  # (strand_count,) [m] mean length
+        slip: wp.array(dtype=real)  # (strand_count,) [m] below it friction is a spring
         ghost: wp.array(dtype=wp.vec3d)  # (strand_count,) [m] ghost node from the root, in the root's rest frame
         clamp_director: wp.array(dtype=wp.vec3d)  # (strand_count,) first edge's director, same frame
 
@@ -75,6 +76,7 @@ def rod_types(real: type) -> SimpleNamespace:
         stages: wp.int32  # 1: backward Euler, 2: SDIRK2
         tolerance: real  # of a segment's length
         max_iterations: wp.int32
+        warm: wp.int32  # 1: Newton starts from the result so far, 0: from the start carried rigidly
         max_pieces: wp.int32  # a strand that does not converge is stepped in 2, 4, ... parts, at most so many
 
     @structure
@@ -106,7 +108,8 @@ def rod_types(real: type) -> SimpleNamespace:
 
         iterations: wp.array(dtype=wp.int32)  # Newton iterations, summed over stages and pieces
         unconverged: wp.array(dtype=wp.int32)  # 1 where even the shortest pieces did not converge
-        pieces: wp.array(dtype=wp.int32)
+        pieces: wp.array(dtype=wp.int32)  # parts the substep was stepped in
+        contacts: wp.array(dtype=wp.int32)  # nodes that a contact pushes
 
     return SimpleNamespace(
         real=real,
