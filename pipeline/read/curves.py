@@ -1,0 +1,237 @@
+"""BasisCurves: what is drawn, and the polylines that are simulated for it.
+
+Cubic curves are simulated by their control polygon: rods run through the control points, which then are the result
+as they stand, whatever basis draws the curve from them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from plait.pipeline.read import values
+from plait.pipeline.read.source import Source
+
+# A segment below this part of its strand's length is a repeated point.
+REPEATED = 1e-6
+# A strand without length follows its root as a stub of this part of the prim's median length.
+STUB = 0.01
+
+
+@dataclass(frozen=True)
+class Curves:
+    """What is drawn: points (n, 3) float64 [stage units, the prim's own space] and counts (curve_count,)."""
+
+    prim: Usd.Prim
+    points: np.ndarray
+    counts: np.ndarray
+    animated: bool
+
+    @property
+    def path(self) -> str:
+        return str(self.prim.GetPath())
+
+    @property
+    def starts(self) -> np.ndarray:
+        """(curve_count + 1,) first point of each curve, and the end."""
+        return np.concatenate([[0], np.cumsum(self.counts)]).astype(np.int64)
+
+    @property
+    def curve_of_point(self) -> np.ndarray:
+        return np.repeat(np.arange(len(self.counts)), self.counts)
+
+
+@dataclass(frozen=True)
+class Polylines:
+    """What is simulated. One strand a curve that has points, in their order.
+
+    curves: (strand_count,) the curve of each strand.  offsets: (strand_count + 1,) int32.
+    source_points: (point_count,) the drawn point of each simulated one; a stub's tip has its root's.
+    stub_tips: (stub_count,) simulated points that nothing was drawn for.
+    point_map: (drawn point count,) int32.
+    """
+
+    curves: np.ndarray
+    offsets: np.ndarray
+    source_points: np.ndarray
+    stub_tips: np.ndarray
+    point_map: np.ndarray
+
+    @property
+    def roots(self) -> np.ndarray:
+        """(strand_count,) the drawn point of each root."""
+        return self.source_points[self.offsets[:-1]]
+
+
+def refusal(prim: Usd.Prim) -> str:
+    """Why a curves prim cannot be simulated whatever its values are; '' if it can."""
+    if not prim.IsA(UsdGeom.BasisCurves):
+        return f"{prim.GetTypeName()} are not simulated; convert them to BasisCurves"
+    if UsdGeom.BasisCurves(prim).GetWrapAttr().Get() == UsdGeom.Tokens.periodic:
+        return "closed loops (wrap periodic) have no root and no tip; make them nonperiodic or pinned"
+    return ""
+
+
+def sizes(prim: Usd.Prim, source: Source) -> dict[str, int]:
+    """Counts for a report."""
+    curves = UsdGeom.Curves(prim)
+    counts = curves.GetCurveVertexCountsAttr().Get(source.start)
+    return {"strands": len(counts or []), "points": int(np.sum(counts)) if counts else 0}
+
+
+def read_curves(source: Source, prim: Usd.Prim) -> Curves:
+    """Raises InputError for counts that do not fit, values that are not finite, topology that changes."""
+    curves = UsdGeom.BasisCurves(prim)
+    points_attribute, counts_attribute = curves.GetPointsAttr(), curves.GetCurveVertexCountsAttr()
+    counts = values.integers(source, counts_attribute)
+    points = values.vectors(source, points_attribute)
+    if len(counts) and counts.min() < 0:
+        raise source.error("has a negative count", prim, "curveVertexCounts", "author counts of points")
+    if counts.sum() != len(points):
+        raise source.error(
+            f"has {len(points)} points, curveVertexCounts add up to {int(counts.sum())}",
+            prim,
+            "points",
+            "make the counts fit the points",
+        )
+    if not len(points):
+        raise source.error(
+            "is empty", prim, "points", "author points, deactivate the prim, or plait:role = 'none'"
+        )
+    for code in counts_attribute.GetTimeSamples():
+        if not np.array_equal(values.integers(source, counts_attribute, code), counts):
+            raise source.error(
+                f"changes at time code {code:g}", prim, "curveVertexCounts", "the topology must not change"
+            )
+    animated = points_attribute.ValueMightBeTimeVarying()
+    if animated:
+        samples = points_attribute.GetTimeSamples()
+        for code in (samples[0], samples[len(samples) // 2], samples[-1]):
+            count = len(values.vectors(source, points_attribute, code))
+            if count != len(points):
+                raise source.error(
+                    f"has {count} points at time code {code:g}, {len(points)} at the first frame",
+                    prim,
+                    "points",
+                    "the number of points must not change",
+                )
+    return Curves(prim, points, counts, animated)
+
+
+def polylines(curves: Curves) -> Polylines | None:
+    """Repeated points collapsed to one; None if no curve of the prim has any length."""
+    points, owner = curves.points, curves.curve_of_point
+    step = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
+    first = np.concatenate([[True], owner[1:] != owner[:-1]])
+    step[first] = 0.0
+    lengths = np.bincount(owner, step, minlength=len(curves.counts))
+    kept = first | (step > REPEATED * lengths[owner])
+    simulated = np.bincount(owner, kept, minlength=len(curves.counts)).astype(np.int64)
+    if simulated.max(initial=0) < 2:
+        return None
+    strands = np.nonzero(simulated)[0]
+    counts = np.maximum(simulated[strands], 2)
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    strand_of_curve = np.cumsum(simulated > 0) - 1
+    rank = np.cumsum(kept) - 1
+    rank_of_first = rank[first]
+    first_of_curve = np.zeros(len(curves.counts), dtype=np.int64)
+    first_of_curve[owner[first]] = rank_of_first
+    point_map = offsets[:-1][strand_of_curve[owner]] + rank - first_of_curve[owner]
+    stubs = np.nonzero(simulated[strands] < 2)[0]
+    tips = offsets[stubs] + 1
+    source_points = np.zeros(offsets[-1], dtype=np.int64)
+    source_points[point_map[kept]] = np.nonzero(kept)[0]
+    source_points[tips] = source_points[offsets[stubs]]
+    return Polylines(strands, offsets.astype(np.int32), source_points, tips, point_map.astype(np.int32))
+
+
+def stub_length(curves: Curves) -> float:
+    """[stage units]"""
+    owner = curves.curve_of_point
+    step = np.linalg.norm(np.diff(curves.points, axis=0, prepend=curves.points[:1]), axis=1)
+    step[np.concatenate([[True], owner[1:] != owner[:-1]])] = 0.0
+    lengths = np.bincount(owner, step, minlength=len(curves.counts))
+    return STUB * float(np.median(lengths[lengths > 0.0]))
+
+
+def read_widths(source: Source, curves: Curves) -> np.ndarray | None:
+    """Diameters at the drawn points, (n,) [stage units], or None where none are drawn.
+
+    `primvars:widths` comes before `widths`. Raises InputError for counts that fit no interpolation and for negative
+    or infinite values.
+    """
+    schema = UsdGeom.BasisCurves(curves.prim)
+    primvar = UsdGeom.PrimvarsAPI(curves.prim).GetPrimvar("widths")
+    if primvar and primvar.HasAuthoredValue():
+        name, interpolation = primvar.GetName(), primvar.GetInterpolation()
+        given = primvar.ComputeFlattened(source.start)
+        widths = values.checked(source, curves.prim, name, given) if given is not None else np.zeros(0)
+    else:
+        attribute = schema.GetWidthsAttr()
+        name, interpolation = attribute.GetName(), schema.GetWidthsInterpolation()
+        widths = values.scalars(source, attribute)
+    if not len(widths):
+        return None
+    if widths.min() < 0.0:
+        raise source.error("is negative", curves.prim, name, "author diameters")
+    return _to_points(source, curves, name, str(interpolation), widths)
+
+
+def _to_points(source: Source, curves: Curves, name: str, interpolation: str, data: np.ndarray) -> np.ndarray:
+    spans = varying_positions(curves)
+    wanted = {
+        "constant": 1,
+        "uniform": len(curves.counts),
+        "varying": sum(len(span) for span in spans),
+        "vertex": len(curves.points),
+    }
+    # One value is meant for all, and one a point as such, whatever interpolation a writer left at its default.
+    if len(data) != wanted.get(interpolation, -1):
+        fitting = [key for key in ("constant", "vertex", "uniform") if wanted[key] == len(data)]
+        if not fitting or interpolation not in wanted:
+            raise source.error(
+                f"has {len(data)} values, interpolation {interpolation} needs {wanted.get(interpolation, 'another')}",
+                curves.prim,
+                name,
+                "author a value for each, or one with interpolation constant",
+            )
+        source.warn(
+            f"has {len(data)} values, interpolation {interpolation} needs {wanted[interpolation]}; "
+            f"taken as {fitting[0]}",
+            curves.prim,
+            name,
+        )
+        interpolation = fitting[0]
+    if interpolation == "constant":
+        return np.full(len(curves.points), data[0])
+    if interpolation == "uniform":
+        return data[curves.curve_of_point]
+    if interpolation == "vertex":
+        return data
+    result, first = np.zeros(len(curves.points)), 0
+    for start, count, span in zip(curves.starts, curves.counts, spans, strict=False):
+        own = data[first : first + len(span)]
+        first += len(span)
+        if count:
+            result[start : start + count] = np.interp(np.arange(count), span, own) if len(span) else 0.0
+    return result
+
+
+def varying_positions(curves: Curves) -> list[np.ndarray]:
+    """For each curve, the control points beside which its segments begin and end: where `varying` values sit."""
+    schema = UsdGeom.BasisCurves(curves.prim)
+    cubic = schema.GetTypeAttr().Get() == UsdGeom.Tokens.cubic
+    pinned = schema.GetWrapAttr().Get() == UsdGeom.Tokens.pinned
+    bezier = schema.GetBasisAttr().Get() == UsdGeom.Tokens.bezier
+    spans = []
+    for count in curves.counts:
+        if not cubic or count < 2 or (pinned and not bezier):
+            spans.append(np.arange(count))
+        elif bezier:
+            spans.append(np.arange(0, count, 3))
+        else:
+            spans.append(np.arange(1, count - 1))
+    return spans

@@ -1,0 +1,238 @@
+"""How surfaces move: transforms, skeletons, point caches, each asked for its pose at any time.
+
+All results are in scene coordinates. A surface's rest points are what its first frame's linear part makes of its
+own points (see `Anchor`), so that they are metres of the world, whatever scale lies between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSkel
+
+from plait.pipeline.read import values
+from plait.pipeline.read.source import Source
+from plait.solver.scene import Pose
+
+
+class Placement:
+    """A prim's transform to the world at any time code."""
+
+    def __init__(self, source: Source, prim: Usd.Prim) -> None:
+        self._source, self._prim = source, prim
+        self.at_start = source.placed_at_start(prim)
+        self.animated = _varies(prim)
+
+    def matrix(self, code: float) -> np.ndarray:
+        """(4, 4) float64, column vectors, stage units."""
+        return self._source.local_to_world(self._prim, code) if self.animated else self.at_start
+
+    def metric(self, code: float) -> np.ndarray:
+        """The same, acting on metres, giving scene coordinates."""
+        return self._source.metric(self.matrix(code))
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """From a prim's own space [stage units] to the rest points of its surface [m]: a linear map, no translation.
+
+    linear: (3, 3), stage units to stage units: the placement of the first frame without its translation.
+    meters_per_unit: scale to metres.
+    """
+
+    linear: np.ndarray
+    meters_per_unit: float
+
+    @staticmethod
+    def of(placement: Placement, source: Source) -> Anchor:
+        """The identity where the first frame's placement has no inverse: a prim hidden by a scale of zero."""
+        linear = placement.at_start[:3, :3]
+        regular = np.linalg.cond(linear) < 1e8 if np.any(linear) else False
+        return Anchor(linear if regular else np.eye(3), source.units.meters_per_unit)
+
+    def points(self, points: np.ndarray) -> np.ndarray:
+        """(n, 3) [stage units] to (n, 3) [m]."""
+        return points @ self.linear.T * self.meters_per_unit
+
+    def undo(self, matrices: np.ndarray) -> np.ndarray:
+        """(..., 4, 4) acting on metres in the prim's own axes, as they act on rest points."""
+        result = matrices.copy()
+        result[..., :3, :3] = matrices[..., :3, :3] @ np.linalg.inv(self.linear)
+        return result
+
+    @property
+    def scale(self) -> float:
+        """Length of the rest points over length in the prim's own space, [m per stage unit]."""
+        return float(abs(np.linalg.det(self.linear)) ** (1.0 / 3.0)) * self.meters_per_unit
+
+
+@dataclass
+class RigidMotion:
+    """A surface moved by its prim's transform."""
+
+    source: Source
+    placement: Placement
+    anchor: Anchor
+
+    @property
+    def animated(self) -> bool:
+        return self.placement.animated
+
+    def pose(self, time: float) -> Pose:
+        return Pose(self.anchor.undo(self.placement.metric(self.source.code(time)))[None])
+
+
+class SkeletonState:
+    """One skeleton's joints, shared by all that it moves; the last time asked for is remembered."""
+
+    def __init__(self, source: Source, query: UsdSkel.SkeletonQuery) -> None:
+        self.source, self.query = source, query
+        self.prim = query.GetPrim()
+        self.placement = Placement(source, self.prim)
+        self.animation = query.GetAnimQuery()
+        moving = bool(self.animation) and self.animation.JointTransformsMightBeTimeVarying()
+        self.animated = moving or self.placement.animated
+        self._code, self._joints = None, np.zeros((0, 4, 4))
+
+    def joints(self, code: float) -> np.ndarray:
+        """(joint_count, 4, 4) float64: skinning transforms in skeleton space, column vectors, stage units."""
+        if code != self._code:
+            matrices = self.query.ComputeSkinningTransforms(code)
+            if matrices is None:
+                raise self.source.error(
+                    "UsdSkel cannot pose it",
+                    self.prim,
+                    "bindTransforms",
+                    "give each joint a bind and rest transform",
+                )
+            joints = np.array(matrices, dtype=np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
+            if not np.all(np.isfinite(joints)):
+                raise self.source.error(
+                    f"joint transforms at time code {code:g} are not finite",
+                    self.animation.GetPrim() if self.animation else self.prim,
+                    "translations, rotations, scales",
+                    "author finite numbers",
+                )
+            self._code, self._joints = code, joints
+        return self._joints
+
+    def metric_joints(self, code: float, used: np.ndarray) -> np.ndarray:
+        """(len(used), 4, 4): chosen joints in the world, acting on metres of skeleton space."""
+        joints = self.joints(code)[used].copy()
+        joints[:, :3, 3] *= self.source.units.meters_per_unit
+        return self.placement.metric(code) @ joints
+
+
+@dataclass
+class SkinnedMotion:
+    """A surface moved by the joints it uses, and by blend shapes.
+
+    used: (n,) indices of those joints in the skeleton's order.
+    """
+
+    skeleton: SkeletonState
+    anchor: Anchor
+    used: np.ndarray
+    blend_weights: Callable[[float], np.ndarray] | None = None
+    animated: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.animated = self.skeleton.animated or self.blend_weights is not None
+
+    def pose(self, time: float) -> Pose:
+        code = self.skeleton.source.code(time)
+        joints = self.anchor.undo(self.skeleton.metric_joints(code, self.used))
+        if self.blend_weights is None:
+            return Pose(joints)
+        return Pose(joints, self.blend_weights(code))
+
+
+@dataclass
+class BlendedMotion:
+    """A surface that blend shapes deform in its own space and its prim's transform moves: no joints."""
+
+    source: Source
+    placement: Placement
+    anchor: Anchor
+    blend_weights: Callable[[float], np.ndarray]
+    animated: bool = True
+
+    def pose(self, time: float) -> Pose:
+        code = self.source.code(time)
+        return Pose(self.anchor.undo(self.placement.metric(code))[None], self.blend_weights(code))
+
+
+@dataclass
+class PointsMotion:
+    """A surface whose points are themselves animated. kept: (n,) which of the prim's points it has."""
+
+    source: Source
+    attribute: Usd.Attribute
+    placement: Placement
+    point_count: int
+    kept: np.ndarray
+    animated: bool = True
+
+    def pose(self, time: float) -> Pose:
+        code = self.source.code(time)
+        points = values.vectors(self.source, self.attribute, code)
+        if len(points) != self.point_count:
+            raise self.source.error(
+                f"has {len(points)} points at time code {code:g}, {self.point_count} at the first frame",
+                self.attribute.GetPrim(),
+                self.attribute.GetName(),
+                "the number of points must not change",
+            )
+        return Pose(np.eye(4)[None], points=transform(self.placement.metric(code), self._meters(points)))
+
+    def _meters(self, points: np.ndarray) -> np.ndarray:
+        return points[self.kept] * self.source.units.meters_per_unit
+
+
+@dataclass
+class DeformedMotion:
+    """A surface that UsdSkel itself skins: dual quaternions under a skeleton scaled unevenly, which joint matrices
+    cannot express."""
+
+    skeleton: SkeletonState
+    query: UsdSkel.SkinningQuery
+    points: np.ndarray
+    kept: np.ndarray
+    animated: bool = True
+
+    def pose(self, time: float) -> Pose:
+        source = self.skeleton.source
+        code = source.code(time)
+        from pxr import Vt
+
+        skinned = Vt.Vec3fArray.FromNumpy(self.points.astype(np.float32))
+        joints = self.skeleton.query.ComputeSkinningTransforms(code)
+        self.query.ComputeSkinnedPoints(joints, skinned, code)
+        meters = np.array(skinned, dtype=np.float64)[self.kept] * source.units.meters_per_unit
+        return Pose(np.eye(4)[None], points=transform(self.skeleton.placement.metric(code), meters))
+
+
+def transform(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(n, 3) points through a (4, 4) column-vector matrix."""
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def is_similarity(linear: np.ndarray) -> bool:
+    """Whether a (3, 3) matrix is a rotation and one scale, to float32 rounding."""
+    gram = linear.T @ linear
+    size = np.trace(gram) / 3.0
+    return bool(size > 0.0 and np.allclose(gram, size * np.eye(3), atol=1e-5 * size))
+
+
+def _varies(prim: Usd.Prim) -> bool:
+    while prim and not prim.IsPseudoRoot():
+        xformable = UsdGeom.Xformable(prim)
+        if xformable:
+            if xformable.TransformMightBeTimeVarying():
+                return True
+            if xformable.GetResetXformStack():
+                return False
+        prim = prim.GetParent()
+    return False

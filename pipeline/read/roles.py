@@ -1,0 +1,255 @@
+"""What each prim of a shot is for, by what is authored on it (see the table in the README)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from pxr import Usd, UsdGeom, UsdPhysics
+
+from plait.pipeline.read import curves, shapes
+from plait.pipeline.read.skeletons import INFLUENCES, Skeletons
+from plait.pipeline.read.source import PREDICATE, Source
+
+CHOICES = ("strands", "flesh", "cloth", "rigid", "sand", "snow", "enriched", "collider", "none")
+APPLIED = {
+    "PhysicsCurvesDeformableSimAPI": "strands",
+    "PhysicsVolumeDeformableSimAPI": "flesh",
+    "PhysicsSurfaceDeformableSimAPI": "cloth",
+}
+# Roles whose physics does not exist yet. Their prims stay as authored, and strands collide with them as such.
+UNSUPPORTED = ("flesh", "cloth", "rigid", "sand", "snow", "enriched")
+SIMULATED = ("strands", *UNSUPPORTED)
+PROP = "animated prop"
+SKIPPED = "skipped"
+
+
+@dataclass(frozen=True)
+class Role:
+    """role: of CHOICES, PROP or SKIPPED.  recognised: by what.  reason: why skipped or refused.
+    authored: the shot says so, rather than that nothing speaks against it.
+    carries: strands may grow on it though it has no role: a visible mesh.
+    """
+
+    prim: Usd.Prim
+    role: str
+    recognised: str
+    reason: str = ""
+    authored: bool = True
+    supported: bool = True
+    carries: bool = False
+
+    @property
+    def collides(self) -> bool:
+        """Whether strands collide with it: so do prims whose own physics is skipped, as they stay where they are."""
+        if not is_solid(self.prim) or self.role not in ("collider", PROP, "flesh", "cloth", "rigid"):
+            return False
+        by_physics = self.role in ("rigid", PROP) and not self.recognised.startswith("plait:role")
+        return not by_physics or has_collision(self.prim)
+
+
+def assign(source: Source, skeletons: Skeletons) -> list[Role]:
+    """The role of every prim that has one or that a user would expect to have one, in the stage's order.
+
+    Raises InputError for a role that does not exist or that the prim's type cannot have.
+    """
+    return _Assignment(source, skeletons).roles()
+
+
+def applied_schemas(prim: Usd.Prim) -> set[str]:
+    """Names of applied schemas, those USD does not know included."""
+    listed = prim.GetMetadata("apiSchemas")
+    return set(prim.GetAppliedSchemas()) | set(listed.GetAppliedItems() if listed else ())
+
+
+def may_carry(role: Role) -> bool:
+    """Whether strands may grow on a prim that has no role: a visible mesh nobody excluded."""
+    return role.role == SKIPPED and role.carries
+
+
+def is_solid(prim: Usd.Prim) -> bool:
+    return prim.IsA(UsdGeom.Mesh) or shapes.is_shape(prim)
+
+
+def has_collision(prim: Usd.Prim) -> bool:
+    return "PhysicsCollisionAPI" in applied_schemas(prim)
+
+
+class _Assignment:
+    def __init__(self, source: Source, skeletons: Skeletons) -> None:
+        self._source, self._skeletons = source, skeletons
+        self._prims = [p for p in source.stage.Traverse(PREDICATE) if not p.IsInPrototype()]
+        self._authored = {str(p.GetPath()): self._authored_role(p) for p in self._prims}
+        self._first = next((r for r in self._authored.values() if r and r.role in SIMULATED), None)
+
+    def roles(self) -> list[Role]:
+        found = []
+        for prim in self._prims:
+            role = self._authored[str(prim.GetPath())] or self._implied_role(prim)
+            if role is not None:
+                found.append(self._checked(role))
+        return found
+
+    # --- authored ---------------------------------------------------------------------------------------------
+
+    def _authored_role(self, prim: Usd.Prim) -> Role | None:
+        own = self._plait_role(prim)
+        if own is not None:
+            return own
+        schemas = applied_schemas(prim)
+        body, body_schemas = self._body_above(prim)
+        for name, role in APPLIED.items():
+            if name in schemas:
+                return Role(prim, role, name)
+            if name in body_schemas and _is_geometry(prim) and role != "strands":
+                return Role(prim, role, f"{name} on {body.GetPath()}")
+        if is_solid(prim) and "PhysicsCollisionAPI" in schemas:
+            return self._collision_role(prim)
+        if "PhysicsRigidBodyAPI" in schemas and self._enabled(prim, "physics:rigidBodyEnabled"):
+            role = PROP if self._is_kinematic(prim) else "rigid"
+            return Role(prim, role, "PhysicsRigidBodyAPI" + (", kinematicEnabled" if role == PROP else ""))
+        if prim.IsA(UsdPhysics.Joint):
+            return Role(prim, "rigid", str(prim.GetTypeName()))
+        return None
+
+    def _plait_role(self, prim: Usd.Prim) -> Role | None:
+        """`plait:role` of the nearest prim, itself or above, that has one; groups pass theirs on to geometry."""
+        holder = prim
+        while holder and not holder.IsPseudoRoot():
+            attribute = holder.GetAttribute("plait:role")
+            if attribute and attribute.HasAuthoredValue():
+                break
+            holder = holder.GetParent()
+        else:
+            return None
+        value = attribute.Get()
+        if value not in CHOICES:
+            raise self._source.error(f"is {value!r}", holder, "plait:role", f"author one of {', '.join(CHOICES)}")
+        if not _is_geometry(prim):
+            return None
+        self._check_type(prim, value, holder)
+        where = "" if holder == prim else f" on {holder.GetPath()}"
+        recognised = f"plait:role{where}"
+        if value == "none":
+            return Role(prim, SKIPPED, recognised, "plait:role is none")
+        return Role(prim, value, recognised)
+
+    def _check_type(self, prim: Usd.Prim, value: str, holder: Usd.Prim) -> None:
+        is_curves = prim.IsA(UsdGeom.Curves)
+        fits = {
+            "strands": is_curves,
+            "flesh": prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.TetMesh),
+            "cloth": prim.IsA(UsdGeom.Mesh),
+            "collider": is_solid(prim),
+        }.get(value, True)
+        if not fits and holder == prim:
+            raise self._source.error(
+                f"is '{value}', which a {prim.GetTypeName()} cannot be", prim, "plait:role", "author another role"
+            )
+
+    def _body_above(self, prim: Usd.Prim) -> tuple[Usd.Prim | None, set[str]]:
+        holder = prim.GetParent()
+        while holder and not holder.IsPseudoRoot():
+            schemas = applied_schemas(holder)
+            if schemas & set(APPLIED):
+                return holder, schemas
+            holder = holder.GetParent()
+        return None, set()
+
+    def _collision_role(self, prim: Usd.Prim) -> Role:
+        if not self._enabled(prim, "physics:collisionEnabled"):
+            return Role(prim, SKIPPED, "PhysicsCollisionAPI", "physics:collisionEnabled is false")
+        holder = prim
+        while holder and not holder.IsPseudoRoot():
+            if "PhysicsRigidBodyAPI" in applied_schemas(holder):
+                break
+            holder = holder.GetParent()
+        else:
+            return Role(prim, "collider", "PhysicsCollisionAPI")
+        where = "" if holder == prim else f" on {holder.GetPath()}"
+        if not self._enabled(holder, "physics:rigidBodyEnabled"):
+            return Role(prim, "collider", f"PhysicsCollisionAPI, PhysicsRigidBodyAPI{where} is disabled")
+        if self._is_kinematic(holder):
+            return Role(prim, PROP, f"PhysicsRigidBodyAPI{where}, kinematicEnabled")
+        return Role(prim, "rigid", f"PhysicsRigidBodyAPI{where}")
+
+    def _enabled(self, prim: Usd.Prim, name: str) -> bool:
+        attribute = prim.GetAttribute(name)
+        value = attribute.Get(self._source.start) if attribute else None
+        return True if value is None else bool(value)
+
+    def _is_kinematic(self, prim: Usd.Prim) -> bool:
+        attribute = prim.GetAttribute("physics:kinematicEnabled")
+        return bool(attribute and attribute.Get(self._source.start))
+
+    # --- implied ----------------------------------------------------------------------------------------------
+
+    def _implied_role(self, prim: Usd.Prim) -> Role | None:
+        if not _is_geometry(prim):
+            return None
+        hidden = self._why_hidden(prim)
+        if prim.IsA(UsdGeom.Curves):
+            return self._implied_curves(prim, hidden)
+        if self._skeletons.find(prim) is not None and is_solid(prim):
+            if hidden:
+                return Role(prim, SKIPPED, "skinned", hidden, authored=False)
+            return Role(prim, "collider", f"skinned {prim.GetTypeName()} without a role", authored=False)
+        carries = not hidden and prim.IsA(UsdGeom.Mesh)
+        return Role(prim, SKIPPED, "no role", self._why_skipped(prim), authored=False, carries=carries)
+
+    def _implied_curves(self, prim: Usd.Prim, hidden: str) -> Role:
+        if self._first is not None:
+            reason = (
+                f"no role, while {self._first.prim.GetPath()} has one ({self._first.recognised}); "
+                "apply PhysicsCurvesDeformableSimAPI or author plait:role = 'strands'"
+            )
+            return Role(prim, SKIPPED, "no role", reason, authored=False)
+        reason = hidden or curves.refusal(prim) or self._why_unwritable(prim)
+        if reason:
+            return Role(prim, SKIPPED, "no role", reason, authored=False)
+        return Role(prim, "strands", f"{prim.GetTypeName()} in a shot without roles", authored=False)
+
+    def _why_hidden(self, prim: Usd.Prim) -> str:
+        image = UsdGeom.Imageable(prim)
+        if image.ComputeVisibility(self._source.start) == UsdGeom.Tokens.invisible:
+            return "invisible"
+        purpose = image.ComputePurpose()
+        if purpose == UsdGeom.Tokens.proxy or (purpose == UsdGeom.Tokens.guide and not prim.IsA(UsdGeom.Curves)):
+            return f"purpose {purpose}"
+        return "" if not _under_instancer(prim) else "a prototype of a PointInstancer"
+
+    def _why_skipped(self, prim: Usd.Prim) -> str:
+        path = str(prim.GetPath())
+        if path in self._skeletons.hidden:
+            return (
+                f"skinned, but UsdSkel does not see it beneath {self._skeletons.hidden[path]}, which has no type"
+            )
+        if prim.HasAttribute(INFLUENCES[0]):
+            return "has joint influences, but no SkelRoot or no skeleton binds it"
+        if is_solid(prim):
+            return "neither skinned nor physics; for a collider apply PhysicsCollisionAPI or author plait:role"
+        return f"{prim.GetTypeName()} takes no part"
+
+    def _why_unwritable(self, prim: Usd.Prim) -> str:
+        return "inside an instance, which cannot be overridden; de-instance it" if prim.IsInstanceProxy() else ""
+
+    def _checked(self, role: Role) -> Role:
+        if role.role == "strands" and role.authored:
+            reason = curves.refusal(role.prim) or self._why_unwritable(role.prim)
+            if reason:
+                return replace(role, reason=reason, supported=False)
+        if role.role in UNSUPPORTED:
+            return replace(role, reason=f"{role.role} is not simulated yet", supported=False)
+        return role
+
+
+def _is_geometry(prim: Usd.Prim) -> bool:
+    return prim.IsA(UsdGeom.Gprim)
+
+
+def _under_instancer(prim: Usd.Prim) -> bool:
+    holder = prim.GetParent()
+    while holder and not holder.IsPseudoRoot():
+        if holder.IsA(UsdGeom.PointInstancer):
+            return True
+        holder = holder.GetParent()
+    return False

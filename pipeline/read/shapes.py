@@ -1,0 +1,114 @@
+"""UsdGeom's simple shapes as closed polygon meshes."""
+
+from __future__ import annotations
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from plait.pipeline.read.source import Source
+
+SIDES = 32
+RINGS = 16
+
+Polygons = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def is_shape(prim: Usd.Prim) -> bool:
+    return any(prim.IsA(schema) for schema in _SHAPES)
+
+
+def polygons(source: Source, prim: Usd.Prim) -> Polygons:
+    """(points (n, 3) [stage units, the prim's own space], face counts, face indices), counter-clockwise outside.
+
+    Inscribed: vertices lie on the shape. Raises InputError for a size that is not a positive number.
+    """
+    for schema, make in _SHAPES.items():
+        if prim.IsA(schema):
+            return make(source, prim)
+    raise source.error(f"{prim.GetTypeName()} has no surface", prim, mend="use a Mesh")
+
+
+def _size(source: Source, prim: Usd.Prim, name: str, zero: bool = False) -> float:
+    value = prim.GetAttribute(name).Get(source.start)
+    if not (np.isfinite(value) and (value > 0.0 or (zero and value == 0.0))):
+        raise source.error(f"is {value:g}", prim, name, "author a positive number")
+    return float(value)
+
+
+def _cube(source: Source, prim: Usd.Prim) -> Polygons:
+    half = 0.5 * _size(source, prim, "size")
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) * half
+    quads = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
+    return corners, np.full(6, 4), np.array(quads)
+
+
+def _sphere(source: Source, prim: Usd.Prim) -> Polygons:
+    angles = np.linspace(0.0, np.pi, RINGS + 1)
+    radius = _size(source, prim, "radius")
+    return _lathe(radius * np.sin(angles), -radius * np.cos(angles), "Z")
+
+
+def _cylinder(source: Source, prim: Usd.Prim) -> Polygons:
+    radius, half = _size(source, prim, "radius"), 0.5 * _size(source, prim, "height")
+    return _lathe(np.array([0.0, radius, radius, 0.0]), np.array([-half, -half, half, half]), _axis(prim))
+
+
+def _cone(source: Source, prim: Usd.Prim) -> Polygons:
+    radius, half = _size(source, prim, "radius"), 0.5 * _size(source, prim, "height")
+    return _lathe(np.array([0.0, radius, 0.0]), np.array([-half, -half, half]), _axis(prim))
+
+
+def _capsule(source: Source, prim: Usd.Prim) -> Polygons:
+    radius, half = _size(source, prim, "radius"), 0.5 * _size(source, prim, "height", zero=True)
+    angles = np.linspace(0.0, 0.5 * np.pi, RINGS // 2 + 1)
+    lower = np.column_stack([radius * np.sin(angles), -half - radius * np.cos(angles)])
+    profile = np.concatenate([lower, (lower * [1.0, -1.0])[::-1]])
+    if half == 0.0:
+        profile = np.delete(profile, len(lower), axis=0)
+    return _lathe(profile[:, 0], profile[:, 1], _axis(prim))
+
+
+def _plane(source: Source, prim: Usd.Prim) -> Polygons:
+    width, length = 0.5 * _size(source, prim, "width"), 0.5 * _size(source, prim, "length")
+    corners = np.array([[-width, -length, 0], [width, -length, 0], [width, length, 0], [-width, length, 0]], float)
+    return corners @ _turn(_axis(prim)).T, np.array([4]), np.arange(4)
+
+
+def _axis(prim: Usd.Prim) -> str:
+    return str(prim.GetAttribute("axis").Get())
+
+
+def _turn(axis: str) -> np.ndarray:
+    """The rotation (a cyclic swap) that takes Z to the axis."""
+    return np.roll(np.eye(3), {"Z": 0, "X": 1, "Y": 2}[axis], axis=0)
+
+
+def _lathe(radii: np.ndarray, heights: np.ndarray, axis: str) -> Polygons:
+    """A profile turned about the axis; radius zero at both ends, rising."""
+    around = 2.0 * np.pi * np.arange(SIDES) / SIDES
+    circle = np.column_stack([np.cos(around), np.sin(around)])
+    rings = [
+        np.column_stack([r * circle, np.full(SIDES, h)]) for r, h in zip(radii[1:-1], heights[1:-1], strict=True)
+    ]
+    points = np.concatenate([[[0.0, 0.0, heights[0]]], *rings, [[0.0, 0.0, heights[-1]]]])
+    here, after = np.arange(SIDES), (np.arange(SIDES) + 1) % SIDES
+    last, top = 1 + (len(rings) - 1) * SIDES, len(points) - 1
+    bottom = np.column_stack([np.zeros(SIDES, int), 1 + after, 1 + here])
+    lid = np.column_stack([np.full(SIDES, top), last + here, last + after])
+    quads = [
+        np.column_stack([s + here, s + after, s + SIDES + after, s + SIDES + here])
+        for s in 1 + SIDES * np.arange(len(rings) - 1)
+    ]
+    indices = np.concatenate([bottom.ravel(), *(quad.ravel() for quad in quads), lid.ravel()])
+    counts = np.concatenate([np.full(SIDES, 3), np.full(SIDES * len(quads), 4), np.full(SIDES, 3)])
+    return points @ _turn(axis).T, counts, indices
+
+
+_SHAPES = {
+    UsdGeom.Cube: _cube,
+    UsdGeom.Sphere: _sphere,
+    UsdGeom.Cylinder: _cylinder,
+    UsdGeom.Cone: _cone,
+    UsdGeom.Capsule: _capsule,
+    UsdGeom.Plane: _plane,
+}

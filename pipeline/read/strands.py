@@ -1,0 +1,150 @@
+"""A groom and its parameters as `Strands` of the scene, and the way back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pxr import Usd
+
+from plait.pipeline.read.curves import Curves, Polylines, read_widths, stub_length
+from plait.pipeline.read.parameters import Given
+from plait.pipeline.read.roots import Rooted
+from plait.pipeline.read.source import Source
+from plait.solver.scene import RootBinding, Strands
+
+# [m] diameter where none is drawn: a human hair's.
+DEFAULT_THICKNESS = 80e-6
+# [m] what is drawn thicker than this was drawn for its looks; horsehair, the thickest, has 0.2 mm.
+THICKEST_HAIR = 0.3e-3
+# rho A g L^3 / EI of strands drawn so: they hang and swing as locks of their length do.
+LOCK_GRAVITY_NUMBER = 10.0
+EARTH = 9.81
+# Least radius along a strand over its mean: drawn tips may taper to nothing, but have a mass.
+LEAST_RADIUS = 0.1
+
+
+@dataclass(frozen=True)
+class WorldToLocal:
+    """time [s] -> (4, 4), scene coordinates [m] to a prim's own space [stage units]."""
+
+    source: Source
+    prim: Usd.Prim
+
+    def __call__(self, time: float) -> np.ndarray:
+        source = self.source
+        code = source.code(time)
+        local = source.local_to_world(self.prim, code)
+        if not np.all(np.isfinite(local)) or np.linalg.cond(local[:3, :3]) > 1e12:
+            raise source.error(
+                f"the transform to world at time code {code:g} has no inverse",
+                self.prim,
+                "xformOpOrder",
+                "scale by more than zero",
+            )
+        to_world = np.eye(4) / source.units.meters_per_unit
+        to_world[:3, 3] = source.origin / source.units.meters_per_unit
+        to_world[3, 3] = 1.0
+        return np.linalg.inv(local) @ to_world
+
+
+def build(
+    source: Source,
+    curves: Curves,
+    lines: Polylines,
+    rooted: Rooted,
+    binding: RootBinding,
+    given: Given,
+) -> Strands:
+    """The groom in the scene."""
+    WorldToLocal(source, curves.prim)(source.start / source.units.time_codes_per_second)
+    strand_of = np.repeat(np.arange(len(lines.curves)), np.diff(lines.offsets))
+    drawn = curves.points[lines.source_points]
+    drawn[lines.stub_tips, 2] += stub_length(curves) if len(lines.stub_tips) else 0.0
+    points = np.einsum("nij,nj->ni", rooted.to_rest[strand_of, :3, :3], drawn) + rooted.to_rest[strand_of, :3, 3]
+    radius = _radii(source, curves, lines, rooted, given, strand_of)
+    count = len(lines.curves)
+    stiffness = _stiffness(source, curves, points, lines, radius, strand_of, given)
+    return Strands(
+        name=curves.path,
+        points=points,
+        offsets=lines.offsets,
+        roots=binding,
+        radius=radius,
+        density=np.full(count, given["density"]),
+        stretch_stiffness=stiffness[0],
+        bend_stiffness=stiffness[1],
+        twist_stiffness=stiffness[2],
+        damping=np.full(count, given["damping"]),
+        friction=np.full(count, given["friction"]),
+        rest_shape=given["restShape"],
+        rest_transform=rooted.rest_to_world,
+    )
+
+
+def _radii(
+    source: Source,
+    curves: Curves,
+    lines: Polylines,
+    rooted: Rooted,
+    given: Given,
+    strand_of: np.ndarray,
+) -> np.ndarray:
+    """(point_count,) [m]"""
+    if "thickness" in given:
+        return np.full(len(lines.source_points), 0.5 * given["thickness"])
+    widths = read_widths(source, curves)
+    if widths is None or not np.any(widths):
+        source.warn(f"not authored, taken as {DEFAULT_THICKNESS:g} m", curves.prim, "widths")
+        return np.full(len(lines.source_points), 0.5 * DEFAULT_THICKNESS)
+    scale = np.abs(np.linalg.det(rooted.to_rest[:, :3, :3])) ** (1.0 / 3.0)
+    radius = 0.5 * widths[lines.source_points] * scale[strand_of]
+    count = np.bincount(strand_of)
+    mean = np.bincount(strand_of, radius) / count
+    none = mean <= 0.0
+    if none.any():
+        source.warn(f"zero along {int(none.sum())} strands, which get the others' mean", curves.prim, "widths")
+        mean[none] = mean[~none].mean()
+    return np.maximum(radius, LEAST_RADIUS * mean[strand_of])
+
+
+def _stiffness(
+    source: Source,
+    curves: Curves,
+    points: np.ndarray,
+    lines: Polylines,
+    radius: np.ndarray,
+    strand_of: np.ndarray,
+    given: Given,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """EA [N], EI [N m2], GJ [N m2], (strand_count,) each: authored, or of a round section of the mean radius."""
+    count = np.bincount(strand_of)
+    area = np.pi * np.bincount(strand_of, radius**2) / count
+    second_moment = 0.25 * np.pi * np.bincount(strand_of, radius**4) / count
+    stretch = np.full(len(area), given["stretchStiffness"]) if "stretchStiffness" in given else (
+        given["youngsModulus"] * area)  # fmt: skip
+    if "bendStiffness" in given:
+        bend = np.full(len(area), given["bendStiffness"])
+    else:
+        bend = given["youngsModulus"] * second_moment
+        thickest = 2.0 * float(radius.max())
+        if thickest > THICKEST_HAIR and "youngsModulus" not in given:
+            lengths = _lengths(points, lines)
+            lock = given["density"] * area * EARTH * np.median(lengths) ** 3 / LOCK_GRAVITY_NUMBER
+            if np.any(lock < bend):
+                bend = np.minimum(bend, lock)
+                source.warn(
+                    f"drawn {thickest:.2g} m thick with no stiffness authored: bendStiffness is taken in proportion "
+                    f"to length and weight, {np.median(bend):.3g} N m2",
+                    curves.prim,
+                    "widths",
+                )
+    twist = np.full(len(area), given["twistStiffness"]) if "twistStiffness" in given else (
+        bend / (1.0 + given["poissonsRatio"]))  # fmt: skip
+    return stretch, bend, twist
+
+
+def _lengths(points: np.ndarray, lines: Polylines) -> np.ndarray:
+    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    step[lines.offsets[1:-1] - 1] = 0.0
+    return np.add.reduceat(np.append(step, 0.0), lines.offsets[:-1])

@@ -1,0 +1,330 @@
+"""Meshes and simple shapes as surfaces of the scene: what strands grow on and collide with.
+
+A subdivision surface takes part as its control cage, as authored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from plait.pipeline.read import shapes, values
+from plait.pipeline.read.motions import (
+    Anchor,
+    BlendedMotion,
+    DeformedMotion,
+    Placement,
+    PointsMotion,
+    RigidMotion,
+    SkinnedMotion,
+    is_similarity,
+    transform,
+)
+from plait.pipeline.read.skeletons import SkeletonBinding, Skeletons, read_blend_shapes, read_influences
+from plait.pipeline.read.source import Source
+from plait.pipeline.read.triangles import has_area, triangulate, weld
+from plait.solver.scene import BlendShapes, Skinning, Surface
+
+
+@dataclass(frozen=True)
+class Body:
+    """A surface with what finding places on it needs.
+
+    surface: as the scene has it (colliding, without contact parameters: the caller's `replace` adds those).
+    face_of: (triangle_count,) the face each triangle was cut from; each face's run is contiguous.
+    corners: faces' vertices as authored, welded: corner_offsets (face_count + 1,) into corner_points.
+    authored_points, authored_corners: (triangle_count, 3), the triangles' points, and their entries in the
+        face-vertex lists, as authored: where primvars are found.
+    rest_to_world: (4, 4), rest points to scene coordinates at the first frame in the bind pose.
+    own_to_rest: (4, 4), the space in which roots may be drawn beside it [stage units] to rest points [m]: the
+        skeleton's for skinned prims, else the prim's own.
+    subdivided: the drawn surface is smoother than the cage.
+    """
+
+    prim: Usd.Prim
+    surface: Surface
+    face_of: np.ndarray
+    corner_offsets: np.ndarray
+    corner_points: np.ndarray
+    authored_points: np.ndarray
+    authored_corners: np.ndarray
+    rest_to_world: np.ndarray
+    own_to_rest: np.ndarray
+    subdivided: bool
+    binding: SkeletonBinding | None
+
+    @property
+    def path(self) -> str:
+        return str(self.prim.GetPath())
+
+    @property
+    def deforms(self) -> bool:
+        """Whether its shape at the first frame may differ from that at rest."""
+        return self.binding is not None
+
+    @cached_property
+    def first_triangle(self) -> np.ndarray:
+        """(face_count + 1,) each face's run of triangles."""
+        return np.searchsorted(self.face_of, np.arange(len(self.corner_offsets)))
+
+
+class Bodies:
+    """Reads each prim once, when it is first asked for."""
+
+    def __init__(self, source: Source, skeletons: Skeletons) -> None:
+        self._source, self._skeletons = source, skeletons
+        self._read: dict[str, Body | None] = {}
+
+    def get(self, prim: Usd.Prim) -> Body | None:
+        """None for a prim without a single triangle."""
+        path = str(prim.GetPath())
+        if path not in self._read:
+            self._read[path] = read_body(self._source, prim, self._skeletons.find(prim))
+        return self._read[path]
+
+
+@dataclass(frozen=True)
+class _Polygons:
+    """entries: where `indices` stand in the authored list."""
+
+    points: np.ndarray
+    counts: np.ndarray
+    indices: np.ndarray
+    entries: np.ndarray
+    left_handed: bool
+    subdivided: bool
+    animated: bool
+
+
+def mesh_sizes(prim: Usd.Prim, source: Source) -> dict[str, int]:
+    """Counts for a report."""
+    if not prim.IsA(UsdGeom.Mesh):
+        return {}
+    mesh = UsdGeom.Mesh(prim)
+    points = mesh.GetPointsAttr().Get(source.start)
+    counts = mesh.GetFaceVertexCountsAttr().Get(source.start)
+    return {"faces": len(counts or []), "points": len(points or [])}
+
+
+def read_body(source: Source, prim: Usd.Prim, binding: SkeletonBinding | None) -> Body | None:
+    """Raises InputError for meshes whose counts and indices do not fit, or whose values are not finite."""
+    polygons = _read_polygons(source, prim)
+    points = polygons.points
+    triangles, face_of = triangulate(points, polygons.counts, polygons.indices, polygons.left_handed)
+    if not len(triangles):
+        source.warn("has no triangle with an area; left out", prim, "faceVertexIndices")
+        return None
+    moved = _bind(source, prim, points, binding, polygons.animated)
+    kept, welded = weld(moved.surface.points, triangles, moved.attached)
+    surface = _keep(moved, kept, welded[triangles])
+    # A triangle may have lost its area by welding; its face keeps its others.
+    alive = has_area(surface.points, surface.triangles)
+    surface = replace(surface, triangles=np.ascontiguousarray(surface.triangles[alive]))
+    triangles, face_of = triangles[alive], face_of[alive]
+    offsets = np.concatenate([[0], np.cumsum(polygons.counts)]).astype(np.int64)
+    return Body(
+        prim=prim,
+        surface=surface,
+        face_of=face_of,
+        corner_offsets=offsets,
+        corner_points=welded[polygons.indices],
+        authored_points=triangles,
+        authored_corners=polygons.entries[_corners_of(triangles, face_of, offsets, polygons.indices)],
+        rest_to_world=moved.rest_to_world,
+        own_to_rest=moved.own_to_rest,
+        subdivided=polygons.subdivided,
+        binding=binding,
+    )
+
+
+@dataclass(frozen=True)
+class _Bound:
+    """A surface before welding. attached: (point_count, k) what else moves a point.  shapes: its blend shapes."""
+
+    surface: Surface
+    attached: np.ndarray
+    rest_to_world: np.ndarray
+    own_to_rest: np.ndarray
+    keep_motion: Callable[[np.ndarray], object] | None = None
+
+
+def _bind(
+    source: Source, prim: Usd.Prim, points: np.ndarray, binding: SkeletonBinding | None, animated: bool
+) -> _Bound:
+    if binding is not None and binding.query.HasJointInfluences():
+        return _bind_to_joints(source, prim, points, binding)
+    placement = Placement(source, prim)
+    anchor = Anchor.of(placement, source)
+    name = str(prim.GetPath())
+    rest = anchor.points(points)
+    to_world = anchor.undo(placement.metric(source.start))
+    own_to_rest = _linear(anchor.linear * anchor.meters_per_unit)
+    no_triangles = np.zeros((0, 3), np.int32)
+    if binding is not None:
+        blended = read_blend_shapes(source, binding, len(points), own_to_rest[:3, :3])
+        if blended:
+            shapes_, weights = blended
+            motion = BlendedMotion(source, placement, anchor, weights)
+            surface = Surface(name, rest, no_triangles, motion, blend_shapes=shapes_)
+            return _Bound(surface, _shape_rows(shapes_, len(points)), to_world, own_to_rest)
+    if animated:
+        attribute = UsdGeom.PointBased(prim).GetPointsAttr()
+
+        def cache(kept: np.ndarray) -> PointsMotion:
+            return PointsMotion(source, attribute, placement, len(points), kept)
+
+        return _Bound(Surface(name, rest, no_triangles), np.zeros((len(points), 0)), to_world, own_to_rest, cache)
+    surface = Surface(name, rest, no_triangles, RigidMotion(source, placement, anchor))
+    return _Bound(surface, np.zeros((len(points), 0)), to_world, own_to_rest)
+
+
+def _bind_to_joints(source: Source, prim: Usd.Prim, points: np.ndarray, binding: SkeletonBinding) -> _Bound:
+    skeleton = binding.skeleton
+    influences = read_influences(source, binding, len(points))
+    anchor = Anchor.of(skeleton.placement, source)
+    geom_bind = np.array(binding.query.GetGeomBindTransform(source.start)).T
+    if not np.all(np.isfinite(geom_bind)):
+        raise source.error("is not finite", prim, "primvars:skel:geomBindTransform", "author finite numbers")
+    to_rest = _linear(anchor.linear * anchor.meters_per_unit)
+    rest = transform(to_rest @ geom_bind, points)
+    to_world = anchor.undo(skeleton.placement.metric(source.start))
+    name = str(prim.GetPath())
+    blended = read_blend_shapes(source, binding, len(points), (to_rest @ geom_bind)[:3, :3])
+    shapes_, weights = blended if blended else (None, None)
+    motion = SkinnedMotion(skeleton, anchor, influences.used, weights)
+    skinning = None
+    if not influences.rigid:
+        skinning = Skinning(influences.indices, influences.weights, influences.method)
+    attached = np.column_stack([influences.indices, influences.weights])
+    if shapes_ is not None:
+        attached = np.column_stack([attached, _shape_rows(shapes_, len(points))])
+    no_triangles = np.zeros((0, 3), np.int32)
+    keep_motion = None
+    if skinning is not None and influences.method == "dual-quaternion" and not is_similarity(anchor.linear):
+        if shapes_ is not None:
+            raise source.error(
+                "dual quaternion skinning with blend shapes under an uneven scale is not supported",
+                prim,
+                "primvars:skel:skinningMethod",
+                "scale the skeleton evenly",
+            )
+        skinning = None
+
+        def keep_motion(kept: np.ndarray) -> DeformedMotion:
+            return DeformedMotion(skeleton, binding.query, points, kept)
+
+    surface = Surface(name, rest, no_triangles, motion, skinning, shapes_)
+    return _Bound(surface, attached, to_world, to_rest, keep_motion)
+
+
+def _keep(bound: _Bound, kept: np.ndarray, triangles: np.ndarray) -> Surface:
+    """The bound surface with only the points `kept`, and these triangles of them."""
+    surface = bound.surface
+    skinning = surface.skinning
+    if skinning is not None:
+        skinning = replace(
+            skinning,
+            joint_indices=np.ascontiguousarray(skinning.joint_indices[kept]),
+            joint_weights=np.ascontiguousarray(skinning.joint_weights[kept]),
+        )
+    shapes_ = surface.blend_shapes
+    if shapes_ is not None:
+        shapes_ = _keep_shapes(shapes_, kept, len(surface.points))
+    return replace(
+        surface,
+        points=np.ascontiguousarray(surface.points[kept]),
+        triangles=triangles,
+        skinning=skinning,
+        blend_shapes=shapes_,
+        motion=bound.keep_motion(kept) if bound.keep_motion else surface.motion,
+    )
+
+
+def _keep_shapes(held: BlendShapes, kept: np.ndarray, point_count: int) -> BlendShapes:
+    number = np.full(point_count, -1)
+    number[kept] = np.arange(len(kept))
+    entries = number[held.point_indices] >= 0
+    runs = np.concatenate([[0], np.cumsum(entries)])[held.shape_offsets]
+    return BlendShapes(
+        runs.astype(np.int32),
+        number[held.point_indices[entries]].astype(np.int32),
+        np.ascontiguousarray(held.point_offsets[entries]),
+    )
+
+
+def _shape_rows(held: BlendShapes, point_count: int) -> np.ndarray:
+    """(point_count, 3) a sum over shapes that differs where any offset differs: what welding compares."""
+    shape_of = np.repeat(np.arange(len(held.shape_offsets) - 1), np.diff(held.shape_offsets))
+    rows = np.zeros((point_count, 3))
+    # Irrational factors: two points with different offsets have the same sum only by design.
+    np.add.at(rows, held.point_indices, held.point_offsets * np.sqrt(2.0 + shape_of)[:, None])
+    return rows
+
+
+def _read_polygons(source: Source, prim: Usd.Prim) -> _Polygons:
+    if not prim.IsA(UsdGeom.Mesh):
+        points, counts, indices = shapes.polygons(source, prim)
+        return _Polygons(points, counts, indices, np.arange(len(indices)), False, False, False)
+    mesh = UsdGeom.Mesh(prim)
+    for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
+        if attribute.ValueMightBeTimeVarying():
+            raise source.error("is animated", prim, attribute.GetName(), "the topology must not change")
+    points = values.vectors(source, mesh.GetPointsAttr())
+    counts = values.integers(source, mesh.GetFaceVertexCountsAttr())
+    indices = values.integers(source, mesh.GetFaceVertexIndicesAttr())
+    if len(counts) and counts.min() < 0:
+        raise source.error("has a negative count", prim, "faceVertexCounts", "author counts of vertices")
+    if counts.sum() != len(indices):
+        raise source.error(
+            f"has {len(indices)} entries, faceVertexCounts add up to {int(counts.sum())}",
+            prim,
+            "faceVertexIndices",
+            "make the counts fit the indices",
+        )
+    if len(indices) and (indices.min() < 0 or indices.max() >= len(points)):
+        raise source.error(
+            f"names point {int(indices.min() if indices.min() < 0 else indices.max())} of {len(points)}",
+            prim,
+            "faceVertexIndices",
+            f"use 0 to {len(points) - 1}",
+        )
+    holes = values.integers(source, mesh.GetHoleIndicesAttr())
+    solid = (counts >= 3) & ~np.isin(np.arange(len(counts)), holes)
+    # Faces keep their numbers (skinprim counts them): one that is left out keeps no vertices.
+    entries = np.nonzero(np.repeat(solid, counts))[0]
+    return _Polygons(
+        points,
+        np.where(solid, counts, 0),
+        indices[entries],
+        entries,
+        mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded,
+        mesh.GetSubdivisionSchemeAttr().Get() not in (UsdGeom.Tokens.none, None),
+        mesh.GetPointsAttr().ValueMightBeTimeVarying(),
+    )
+
+
+def _corners_of(
+    triangles: np.ndarray, face_of: np.ndarray, offsets: np.ndarray, indices: np.ndarray
+) -> np.ndarray:
+    """Which corner of its face each triangle's vertex is, as an entry of the face-vertex lists."""
+    result = np.zeros_like(triangles)
+    longest = int(np.diff(offsets).max(initial=0))
+    last = len(indices) - 1
+    unfound = np.ones(triangles.shape, dtype=bool)
+    for k in range(longest):
+        entry = np.minimum(offsets[face_of] + k, last)
+        here = (offsets[face_of] + k < offsets[face_of + 1])[:, None] & unfound
+        match = here & (indices[entry][:, None] == triangles)
+        result[match] = np.broadcast_to(entry[:, None], triangles.shape)[match]
+        unfound &= ~match
+    return result
+
+
+def _linear(matrix: np.ndarray) -> np.ndarray:
+    result = np.eye(4)
+    result[:3, :3] = matrix
+    return result

@@ -1,0 +1,68 @@
+"""Values of attributes as numpy arrays, each checked when it is read."""
+
+from __future__ import annotations
+
+import numpy as np
+from pxr import Usd
+
+from plait.pipeline.read.source import Source
+
+
+def vectors(source: Source, attribute: Usd.Attribute, code: float | None = None) -> np.ndarray:
+    """An array of 3-vectors, (n, 3) float64; (0, 3) where nothing is authored.
+
+    Raises InputError for values that are not finite or not 3-vectors.
+    """
+    value = array(source, attribute, code)
+    if value.size == 0:
+        return np.zeros((0, 3))
+    if value.ndim != 2 or value.shape[1] != 3:
+        raise _wrong_type(source, attribute, "3-vectors")
+    return value
+
+
+def scalars(source: Source, attribute: Usd.Attribute, code: float | None = None) -> np.ndarray:
+    """An array of numbers, (n,) float64; empty where nothing is authored. Raises InputError as `vectors` does."""
+    value = array(source, attribute, code)
+    if value.ndim != 1:
+        raise _wrong_type(source, attribute, "numbers")
+    return value
+
+
+def integers(source: Source, attribute: Usd.Attribute, code: float | None = None) -> np.ndarray:
+    """An array of whole numbers, (n,) int64; empty where nothing is authored."""
+    return scalars(source, attribute, code).astype(np.int64)
+
+
+def array(source: Source, attribute: Usd.Attribute, code: float | None = None) -> np.ndarray:
+    """The attribute's array in float64 at `code` (the first frame if None), finite."""
+    value = attribute.Get(source.start if code is None else code) if attribute else None
+    return checked(source, attribute.GetPrim(), attribute.GetName(), value) if value is not None else np.zeros(0)
+
+
+def checked(source: Source, prim: Usd.Prim, name: str, value: object) -> np.ndarray:
+    """`value` in float64; raises InputError that names the first entry which is not finite."""
+    try:
+        result = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise source.error("holds no numbers", prim, name, "author numbers") from error
+    if result.ndim == 0:
+        raise source.error("is one value, not an array", prim, name, "author an array")
+    if result.size == 0:
+        return np.zeros(0)
+    bad = ~np.isfinite(result.reshape(len(result), -1)).all(axis=1)
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise source.error(
+            f"{int(bad.sum())} of {len(bad)} entries are not finite, the first is entry {first}",
+            prim,
+            name,
+            "author finite numbers",
+        )
+    return result
+
+
+def _wrong_type(source: Source, attribute: Usd.Attribute, wanted: str) -> Exception:
+    return source.error(
+        f"is {attribute.GetTypeName()}, not {wanted}", attribute.GetPrim(), attribute.GetName(), f"author {wanted}"
+    )
