@@ -193,12 +193,15 @@ def _pack(verbs: Any, common: argparse.ArgumentParser) -> None:
     parser.add_argument("cache", type=Path, metavar="OUT.usda")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="ONE.usdc")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier file")
+    parser.add_argument(
+        "--flatten", action="store_true", help="take the shot's own prims in too, not only over it"
+    )
 
 
 def _run_pack(options: argparse.Namespace) -> int:
     from plait.pipeline import pack
 
-    pack.pack(options.cache, options.output, overwrite=options.overwrite)
+    pack.pack(options.cache, options.output, overwrite=options.overwrite, flatten=options.flatten)
     return EXIT_DONE
 
 

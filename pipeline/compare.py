@@ -160,11 +160,12 @@ class _Prim:
         self.codes = tuple(self._points.GetTimeSamples())
 
     def points(self, code: Usd.TimeCode) -> np.ndarray:
-        """(n, 3) float64 [m]"""
+        """(n, 3) float64 [m]; values that are not finite stay so, and are the caller's to judge."""
         held = self._points.Get(code)
         local = np.array(held, np.float64).reshape(-1, 3) if held is not None else np.zeros((0, 3))
         matrix = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(self.prim))
-        return (local @ matrix[:3, :3] + matrix[3, :3]) * self._meters
+        with np.errstate(invalid="ignore"):
+            return (local @ matrix[:3, :3] + matrix[3, :3]) * self._meters
 
     def strand_counts(self, code: Usd.TimeCode) -> tuple[int, ...] | None:
         """Points of each curve, or None for what is no curves."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -48,8 +48,14 @@ def define_curves(stage: Usd.Stage, path: str, strands: int = 2, per_strand: int
     return curves
 
 
-def shot_of(path: Path, prims: Sequence[str] = ("/World/hair",), **outputs: bool) -> Shot:
-    """A shot whose only content is that `prims` of the stage at `path` are simulated."""
+def shot_of(
+    path: Path,
+    prims: Sequence[str] = ("/World/hair",),
+    *,
+    skinned: Collection[str] = (),
+    has_normals: bool = False,
+) -> Shot:
+    """A shot that simulates `prims` of the stage at `path`, of which a skeleton drives `skinned` in the source."""
     stage = Usd.Stage.Open(str(path))
     info = StageInfo(
         path,
@@ -72,7 +78,8 @@ def shot_of(path: Path, prims: Sequence[str] = ("/World/hair",), **outputs: bool
                 np.arange(count, dtype=np.int32),
                 lambda _: np.eye(4),
                 np.full(count, WIDTH),
-                **outputs,
+                skinned=name in skinned,
+                has_normals=has_normals,
             )
         )
     return Shot(info, Scene(), tuple(curves), ())
