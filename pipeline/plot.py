@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 _WIDTH, _HEIGHT = 640, 240
-_LEFT, _RIGHT, _TOP, _BOTTOM = 64, 630, 12, 208
+_LEFT, _RIGHT, _TOP, _BOTTOM = 72, 630, 26, 208
+_LEGEND = 130
 _COLOURS = ("#1f5fa8", "#c77700", "#1b6e3c", "#7a3fa0")
 _MARK, _GRID = "#b3261e", "#e4e4e4"
 
@@ -35,7 +36,9 @@ class _Axes:
 
     def ticks(self) -> Sequence[float]:
         if not self.logarithmic:
-            return [float(tick) for tick in np.linspace(self.low, self.high, 5)]
+            step = _round_step((self.high - self.low) / 4.0)
+            first, last = math.ceil(self.low / step), math.floor(self.high / step)
+            return [step * count for count in range(first, last + 1)]
         step = max(1, math.ceil((self.high - self.low) / 6))
         return [10.0**power for power in range(int(self.low), int(self.high) + 1, step)]
 
@@ -47,23 +50,25 @@ def line_plot(
     *,
     x_label: str = "frame",
     logarithmic: bool = False,
-    mark: float | None = None,
+    mark: tuple[str, float] | None = None,
 ) -> str:
-    """An `svg` element with every one of `series` over `x`, (n,) each, and a dashed line at `mark`.
+    """An `svg` element with every one of `series` over `x`, (n,) each, and a dashed line at the value of `mark`.
 
     On a logarithmic axis zeros lie on its lower edge, a decade or more under the smallest value that is not zero.
     """
-    values = np.concatenate([*series.values(), [] if mark is None else [mark]])
+    values = np.concatenate([*series.values(), [] if mark is None else [mark[1]]])
     limits = _decades(values) if logarithmic else _limits(values)
     axes = _Axes(float(x[0]), float(x[-1]), *limits, logarithmic)
     parts = _frame(axes, x_label, label)
     if mark is not None:
-        parts.append(_line(_LEFT, axes.down(mark), _RIGHT, axes.down(mark), _MARK, "stroke-dasharray='5 4'"))
+        height = axes.down(mark[1])
+        parts.append(_line(_LEFT, height, _RIGHT, height, _MARK, "stroke-dasharray='5 4'"))
+        parts.append(_words(mark[0], _LEFT + _LEGEND * len(series), _TOP - 10, "start", f"fill='{_MARK}'"))
     for index, (name, held) in enumerate(series.items()):
         colour = _COLOURS[index % len(_COLOURS)]
         points = " ".join(f"{axes.across(a):.1f},{axes.down(b):.1f}" for a, b in zip(x, held, strict=True))
         parts.append(f"<polyline points='{points}' fill='none' stroke='{colour}' stroke-width='1.6'/>")
-        parts.append(_words(name, _RIGHT, _TOP + 14 + 15 * index, "end", f"fill='{colour}'"))
+        parts.append(_words(name, _LEFT + _LEGEND * index, _TOP - 10, "start", f"fill='{colour}'"))
     return f"<svg viewBox='0 0 {_WIDTH} {_HEIGHT}' width='{_WIDTH}' height='{_HEIGHT}'>{''.join(parts)}</svg>"
 
 
@@ -72,6 +77,12 @@ def _decades(values: np.ndarray) -> tuple[float, float]:
     if len(positive) == 0:
         return -1.0, 0.0
     return math.floor(math.log10(positive.min())) - 1.0, math.floor(math.log10(positive.max())) + 1.0
+
+
+def _round_step(step: float) -> float:
+    """The smallest of 1, 2, 5 times a power of ten that is no smaller than `step`."""
+    power = 10.0 ** math.floor(math.log10(step))
+    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= step)
 
 
 def _limits(values: np.ndarray) -> tuple[float, float]:
@@ -84,7 +95,8 @@ def _frame(axes: _Axes, x_label: str, label: str) -> list[str]:
     parts = []
     for tick in axes.ticks():
         parts.append(_line(_LEFT, axes.down(tick), _RIGHT, axes.down(tick), _GRID))
-        parts.append(_words(f"{tick:.2g}", _LEFT - 6, axes.down(tick) + 4, "end"))
+        shown = f"1e{math.log10(tick):.0f}" if axes.logarithmic else f"{tick:.4g}"
+        parts.append(_words(shown, _LEFT - 6, axes.down(tick) + 4, "end"))
     middle = (_TOP + _BOTTOM) / 2
     return [
         *parts,

@@ -109,7 +109,11 @@ def _pictures(comparison: Comparison) -> str:
 
 def _plots(prim: PrimComparison, tolerance: float) -> str:
     distance = line_plot(
-        prim.codes, {"largest": prim.largest, "mean": prim.mean}, "distance [m]", logarithmic=True, mark=tolerance
+        prim.codes,
+        {"largest": prim.largest, "mean": prim.mean},
+        "distance [m]",
+        logarithmic=True,
+        mark=("tolerance", tolerance),
     )
     shown = f"<h2><code>{_text(prim.path)}</code></h2><figure>{distance}</figure>"
     if prim.length_change is not None:
