@@ -87,8 +87,7 @@ class Colliders:
         indices = wp.array(local.ravel(), dtype=wp.int32, device=self.launcher.device)
         moves = collider.surface.motion.animated
         collider.meshes = [
-            wp.Mesh(self.query_points[i][collider.points], indices, support_winding_number=True)
-            for i in range(2 if moves else 1)
+            wp.Mesh(self.query_points[i][collider.points], indices) for i in range(2 if moves else 1)
         ] * (1 if moves else 2)
         return collider.deformer.count
 

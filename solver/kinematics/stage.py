@@ -28,7 +28,8 @@ class KinematicsStage:
         strand's rest root is carried and how its triangle has turned since rest. Valid at the end of the substep
         last stepped, and at the start time after `build`.
     colliders: every surface that collides, or None.  in_reach: those that some strand may touch in this frame;
-        only these are skinned.  start, end: which buffer of `colliders` holds the substep's start and end.
+        only these are skinned.  boxes: (2, 3) bounds [m] of each of them over the frame.
+    start, end: which buffer of `colliders` holds the substep's start and end.
     """
 
     name = "kinematics"
@@ -47,6 +48,7 @@ class KinematicsStage:
         colliders = Colliders(self._surfaces, launcher)
         self.colliders = colliders if colliders.items else None
         self.in_reach: list[Collider] = []
+        self.boxes: list[np.ndarray] = []
         self.start, self.end = 0, 1
         self._skinned = 0
         self.place_roots(model.start_time)
@@ -68,7 +70,7 @@ class KinematicsStage:
         self._skinned = 0
         if self.colliders is None:
             return
-        self.in_reach = self._find_in_reach(frame)
+        self._find_in_reach(frame)
         for collider in self.in_reach:
             self._place(collider, self.end, frame.start)
 
@@ -96,22 +98,22 @@ class KinematicsStage:
             self._skinned += self.colliders.plant(collider, self.pose_at(collider.index, first), first)
         self._skinned += self.colliders.place(collider, buffer, self.pose_at(collider.index, time), time)
 
-    def _find_in_reach(self, frame: Interval) -> list[Collider]:
-        """Colliders whose bounds over the frame some strand's reach meets.
+    def _find_in_reach(self, frame: Interval) -> None:
+        """Notes the colliders whose bounds over the frame some strand's reach meets.
 
         A strand stays within its arc length of its root. Root and surface are sampled at equal times.
         """
         times = [frame.start + frame.length * i / (SAMPLES - 1) for i in range(SAMPLES)]
         times[-1] = frame.end
         roots = self._root_boxes(times)
-        near = []
+        self.in_reach, self.boxes = [], []
         for collider in self.colliders.items:
             seen = times if collider.surface.motion.animated else times[:1]
             box = sweep(np.stack([collider.bounds.at(self.pose_at(collider.index, time)) for time in seen]))
             margin = self.roots.radius + collider.surface.thickness + QUERY_ALLOWANCE
             if touches(box, roots, self.roots.arc_length * (1.0 + STRETCH_ALLOWANCE) + margin):
-                near.append(collider)
-        return near
+                self.in_reach.append(collider)
+                self.boxes.append(box)
 
     def _root_boxes(self, times: list[float]) -> np.ndarray:
         """(strand_count, 2, 3) boxes of the roots' ways through `times`."""
