@@ -86,5 +86,14 @@ def schedule(
     return begin, tuple(legs)
 
 
+def sample_codes(legs: tuple[Leg, ...]) -> list[tuple[float, ...]]:
+    """Time codes that are written, a tuple a frame (more than one with shutter samples)."""
+    codes: dict[float, list[float]] = {}
+    for leg in legs:
+        if leg.frame is not None:
+            codes.setdefault(leg.frame, []).append(leg.code)
+    return [tuple(group) for group in codes.values()]
+
+
 def _share(substeps: int, length: float) -> int:
     return math.ceil(substeps * length - 1e-9) if length > 0.0 else 0

@@ -1,0 +1,177 @@
+"""The frame loop: read, build, step, write; checkpoints, metrics, signals. Small on purpose."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from plait.pipeline import checkpoint, provenance
+from plait.pipeline.config import Config
+from plait.pipeline.errors import EXIT_DONE, EXIT_STOPPED, InputError, PlaitError
+from plait.pipeline.frames import FrameRange, parse, sample_codes, schedule
+from plait.pipeline.metrics import Metrics
+from plait.pipeline.outputs import curve_frame
+from plait.pipeline.progress import Progress, Quiet
+from plait.pipeline.read import read_shot
+from plait.pipeline.shot import CurveFrame, Shot
+from plait.pipeline.stopping import StopRequest
+from plait.pipeline.write import CacheWriter
+from plait.solver.build import build
+from plait.solver.diagnostics import Diverged, Refused
+from plait.solver.step import Simulation
+
+
+def simulate(
+    shot_path: Path,
+    output: Path,
+    config: Config,
+    *,
+    frames: str | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    skip_unsupported: bool = False,
+    progress: Progress | None = None,
+) -> int:
+    """Simulates a shot into a cache; returns EXIT_DONE, or EXIT_STOPPED when a signal asked to stop.
+
+    output: the top layer; its cache and metrics come beside it.  frames: as `plait.pipeline.frames.parse` reads
+    them; None for the shot's own.  resume: go on from the last checkpoint, if there is one, to the same bits as a
+    run that was never stopped.
+
+    Raises UsageError and InputError before anything is written; PlaitError when the simulation fails, with the
+    frames before it kept.
+    """
+    progress = progress or Quiet()
+    wanted = parse(frames) if frames else None
+    progress.phase(f"reading {shot_path.name}")
+    shot = read_shot(shot_path, config, wanted and (wanted.start, wanted.end))
+    for warning in shot.warnings:
+        progress.log("warning", text=warning)
+    _refuse_unsupported(shot, skip_unsupported)
+    wanted = wanted or FrameRange(shot.info.start, shot.info.end)
+    with StopRequest() as stop:
+        run = _Run(shot, output, config, wanted, progress, resume=resume, overwrite=overwrite)
+        return run.run(stop)
+
+
+def _refuse_unsupported(shot: Shot, skip: bool) -> None:
+    for prim in shot.prims:
+        if not prim.supported and not skip:
+            raise InputError(
+                f"the role '{prim.role}' ({prim.recognised}) has no physics yet",
+                file=shot.info.path,
+                prim=prim.path,
+                mend="--skip-unsupported leaves such prims as they are",
+            )
+
+
+class _Run:
+    """One run of one shot: the schedule, and what each leg of it leaves behind."""
+
+    def __init__(
+        self,
+        shot: Shot,
+        output: Path,
+        config: Config,
+        frames: FrameRange,
+        progress: Progress,
+        *,
+        resume: bool,
+        overwrite: bool,
+    ) -> None:
+        self.shot, self.output, self.config, self.progress = shot, output, config, progress
+        self.resuming = resume
+        solver = config.solver
+        self.begin, self.legs = schedule(frames, config.preroll, solver.substeps, config.output.shutter)
+        made = provenance.describe(config, solver.device, solver.threads)
+        self.fingerprint = provenance.fingerprint(config, repr(frames), shot.layers, solver.device, solver.threads)
+        self.writer = CacheWriter(
+            output,
+            shot,
+            samples=sample_codes(self.legs),
+            chunk=config.output.chunk,
+            provenance=made,
+            inputs=shot.layers,
+            overwrite=overwrite,
+            resume=resume,
+        )
+        self.checkpoint_path = self.writer.folder / "checkpoint.npz"
+        self.metrics = Metrics(output.with_suffix(".metrics.json"), {"shot": str(shot.info.path), **made})
+
+    def run(self, stop: StopRequest) -> int:
+        """Everything from an empty or half-filled folder to the finished cache."""
+        if not self.shot.scene.strands:
+            self.writer.close()
+            name = self.shot.info.path.name
+            self.progress.log(f"nothing to simulate in {name}; {self.output} shows it as it is")
+            return EXIT_DONE
+        with self.writer:
+            simulation = self._build()
+            try:
+                return self._loop(simulation, self._resume(simulation), stop)
+            finally:
+                simulation.close()
+                self.metrics.save()
+
+    def _build(self) -> Simulation:
+        self.progress.phase("compiling")
+        try:
+            return build(self.shot.scene, self.config.solver, self._seconds(self.begin))
+        except Refused as error:
+            raise InputError(str(error), file=self.shot.info.path) from error
+
+    def _resume(self, simulation: Simulation) -> int:
+        if not self.resuming or not self.checkpoint_path.exists():
+            return 0
+        done = checkpoint.load(self.checkpoint_path, simulation.state, self.fingerprint)
+        self.metrics.resume(done)
+        self.progress.log("resuming", after=self._label(done - 1))
+        return done
+
+    def _loop(self, simulation: Simulation, done: int, stop: StopRequest) -> int:
+        for index in range(done, len(self.legs)):
+            leg = self.legs[index]
+            self._advance(simulation, index)
+            self.progress.frame(index + 1, len(self.legs), self._label(index))
+            finished = self.writer.frames_done
+            if leg.frame is not None:
+                self.writer.add(leg.code, self._capture(simulation))
+            chunk_ended = self.writer.frames_done > finished
+            if chunk_ended:
+                checkpoint.save(self.checkpoint_path, simulation.state, self.fingerprint, index + 1)
+                self.metrics.save()
+            if stop and (chunk_ended or leg.frame is None) and index + 1 < len(self.legs):
+                self.progress.log("stopped by a signal; --resume goes on", after=self._label(index))
+                return EXIT_STOPPED
+        self.progress.log("wrote", path=str(self.output), frames=self.writer.frames_done)
+        return EXIT_DONE
+
+    def _advance(self, simulation: Simulation, index: int) -> None:
+        leg = self.legs[index]
+        if leg.substeps == 0:
+            return
+        started = time.perf_counter()
+        try:
+            figures = simulation.advance_frame(self._seconds(leg.code), leg.substeps)
+        except Diverged as error:
+            raise PlaitError(
+                f"{self.shot.info.path}: {error} (frame {leg.code:g}); the frames before it are kept; "
+                "try more substeps, or stiffer or thicker strands"
+            ) from error
+        self.metrics.add(index, leg.code, time.perf_counter() - started, figures)
+
+    def _capture(self, simulation: Simulation) -> tuple[CurveFrame, ...]:
+        stage: Any = simulation.model.parts["strands"]
+        now = simulation.state.time
+        return tuple(
+            curve_frame(output, stage.points(output.strands), stage.velocities(output.strands), now)
+            for output in self.shot.curves
+        )
+
+    def _seconds(self, code: float) -> float:
+        return code / self.shot.info.time_codes_per_second
+
+    def _label(self, index: int) -> str:
+        leg = self.legs[index]
+        return f"frame {leg.code:g}" if leg.frame is not None else f"pre-roll {leg.code:g}"
