@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from importlib import import_module
+from typing import TYPE_CHECKING
 
-from plait.solver.launch import Launcher
-from plait.solver.model import Model
 from plait.solver.scene import Scene
 from plait.solver.settings import Settings
-from plait.solver.state import State
-from plait.solver.step import Simulation
+
+if TYPE_CHECKING:
+    from plait.solver.step import Simulation
 
 # Each module offers `build(model, state) -> Stage | None`; it is imported only when its test holds, so that a
 # feature the scene lacks costs nothing: no arrays, no kernel compiled, no launch.
@@ -24,6 +24,12 @@ def build(scene: Scene, settings: Settings | None = None, start_time: float = 0.
 
     Raises `Refused` for a scene that cannot be simulated.
     """
+    # Here, so that asking which features a scene needs does not load Warp.
+    from plait.solver.launch import Launcher
+    from plait.solver.model import Model
+    from plait.solver.state import State
+    from plait.solver.step import Simulation
+
     settings = settings or Settings()
     model = Model(scene, settings, Launcher(settings.device, settings.threads), start_time)
     state = State(time=start_time)

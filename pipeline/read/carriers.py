@@ -9,8 +9,15 @@ from pxr import Gf, Usd, UsdSkel, Vt
 
 from plait.pipeline.read import values
 from plait.pipeline.read.curves import Curves, Polylines
-from plait.pipeline.read.motions import Anchor, Placement, RigidMotion, SkinnedMotion, transform
-from plait.pipeline.read.skeletons import SkeletonBinding, read_influences
+from plait.pipeline.read.motions import (
+    Anchor,
+    Placement,
+    RigidMotion,
+    SkinnedMotion,
+    add_shapes,
+    transform,
+)
+from plait.pipeline.read.skeletons import SkeletonBinding, read_geom_bind, read_influences
 from plait.pipeline.read.source import Source
 from plait.solver.scene import Pose, Skinning, Surface
 
@@ -82,10 +89,9 @@ def _skinned_carrier(
 
 def skinned_to_rest(source: Source, binding: SkeletonBinding, anchor: Anchor) -> np.ndarray:
     """(4, 4), a skinned prim's own space [stage units] to rest points [m] beside those of its skeleton's skins."""
-    geom_bind = np.array(binding.query.GetGeomBindTransform(source.start)).T
     linear = np.eye(4)
     linear[:3, :3] = anchor.linear * anchor.meters_per_unit
-    return linear @ geom_bind
+    return linear @ read_geom_bind(source, binding)
 
 
 def _root_triangles(curves: Curves, lines: Polylines) -> np.ndarray:
@@ -111,8 +117,10 @@ def perpendiculars(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass
 class FollowingMotion:
-    """Root triangles that follow animated curve points: position from the root, rotation from the whole prim's best
-    fit (Kabsch 1976) and then from the root segment, by the shortest arc.
+    """Root triangles that follow animated curve points.
+
+    Position from the root; rotation from the whole prim's best fit (Kabsch 1976), then from the root segment by
+    the shortest arc.
 
     roots, seconds: (strand_count,) points of the prim.  rest_points: (n, 3) world at the first frame.
     offsets: (strand_count, 3, 3), corners from their root, world at the first frame.
@@ -181,14 +189,10 @@ def _shortest_arcs(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     skew -= skew.transpose(0, 2, 1)
     usable = cosine > -1.0 + 1e-12
     factor = np.where(usable, 1.0 / np.where(usable, 1.0 + cosine, 1.0), 0.0)
-    turns = cosine_identity(cosine) + skew + factor[:, None, None] * axis[:, :, None] * axis[:, None, :]
+    turns = cosine[:, None, None] * np.eye(3) + skew + factor[:, None, None] * axis[:, :, None] * axis[:, None, :]
     lost = ~usable | (np.sum(a * a, axis=1) < 0.5) | (np.sum(b * b, axis=1) < 0.5)
     turns[lost] = np.eye(3)
     return turns
-
-
-def cosine_identity(cosine: np.ndarray) -> np.ndarray:
-    return cosine[:, None, None] * np.eye(3)
 
 
 @dataclass
@@ -212,10 +216,7 @@ def place_points(surface: Surface, pose: Pose, wanted: np.ndarray | slice = slic
         return pose.points[wanted]
     points = surface.points
     if surface.blend_shapes is not None:
-        held = surface.blend_shapes
-        weights = np.repeat(pose.blend_weights, np.diff(held.shape_offsets))
-        points = points.copy()
-        np.add.at(points, held.point_indices, weights[:, None] * held.point_offsets)
+        points = add_shapes(points, surface.blend_shapes, pose.blend_weights)
     points = points[wanted]
     if surface.skinning is None:
         return transform(pose.joint_transforms[0], points)
@@ -233,13 +234,11 @@ def place_points(surface: Surface, pose: Pose, wanted: np.ndarray | slice = slic
 def _skin_dual_quaternion(
     points: np.ndarray, transforms: np.ndarray, joints: np.ndarray, weights: np.ndarray
 ) -> np.ndarray:
-    """UsdSkel's own, in float32, about the points' middle so that its digits suffice."""
-    middle = points.mean(axis=0)
-    moved = transforms.copy()
+    """By UsdSkel, in float32; relative to where the joints are, so that its digits suffice."""
     placed = Vt.Vec3fArray.FromNumpy(points.astype(np.float32))
-    target = moved[:, :3, 3].mean(axis=0)
+    target = transforms[:, :3, 3].mean(axis=0)
+    moved = transforms.copy()
     moved[:, :3, 3] -= target
-    del middle
     UsdSkel.SkinPoints(
         UsdSkel.Tokens.dualQuaternion,
         Gf.Matrix4d(1.0),

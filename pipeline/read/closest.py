@@ -38,7 +38,7 @@ def closest_on_triangles(
 
 
 def groups_of(queries: np.ndarray) -> list[np.ndarray]:
-    """Indices of queries in groups of at most GROUP that lie together: halved at the median of the longest side."""
+    """Indices of queries in groups of at most GROUP that lie together: halved across the longest side."""
     todo, done = [np.arange(len(queries))] if len(queries) else [], []
     while todo:
         group = todo.pop()

@@ -160,8 +160,8 @@ def stub_length(curves: Curves) -> float:
 def read_widths(source: Source, curves: Curves) -> np.ndarray | None:
     """Diameters at the drawn points, (n,) [stage units], or None where none are drawn.
 
-    `primvars:widths` comes before `widths`. Raises InputError for counts that fit no interpolation and for negative
-    or infinite values.
+    `primvars:widths` comes before `widths`. Raises InputError for counts that fit no interpolation, and for
+    negative or infinite values.
     """
     schema = UsdGeom.BasisCurves(curves.prim)
     primvar = UsdGeom.PrimvarsAPI(curves.prim).GetPrimvar("widths")
@@ -192,8 +192,9 @@ def _to_points(source: Source, curves: Curves, name: str, interpolation: str, da
     if len(data) != wanted.get(interpolation, -1):
         fitting = [key for key in ("constant", "vertex", "uniform") if wanted[key] == len(data)]
         if not fitting or interpolation not in wanted:
+            needed = wanted.get(interpolation, "none")
             raise source.error(
-                f"has {len(data)} values, interpolation {interpolation} needs {wanted.get(interpolation, 'another')}",
+                f"has {len(data)} values, interpolation {interpolation} needs {needed}",
                 curves.prim,
                 name,
                 "author a value for each, or one with interpolation constant",

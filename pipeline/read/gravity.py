@@ -13,7 +13,7 @@ EARTH = 9.81
 def read_gravity(source: Source) -> np.ndarray:
     """(3,) float64 [m/s2]: 9.81 down the up axis unless a PhysicsScene says otherwise.
 
-    As UsdPhysics has it: a negative magnitude (its fallback is -inf) asks for the earth's, direction zero for down.
+    As UsdPhysics has it: a negative magnitude (its fallback is -inf) asks for the earth's, direction zero is down.
     """
     down = (
         np.array([0.0, 0.0, -1.0]) if UsdGeom.GetStageUpAxis(source.stage) == "Z" else np.array([0.0, -1.0, 0.0])

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Usd, UsdGeom, UsdSkel, Vt
 
 from plait.pipeline.read import values
 from plait.pipeline.read.source import Source
-from plait.solver.scene import Pose
+from plait.solver.scene import BlendShapes, Pose
 
 
 class Placement:
@@ -185,33 +185,43 @@ class PointsMotion:
                 self.attribute.GetName(),
                 "the number of points must not change",
             )
-        return Pose(np.eye(4)[None], points=transform(self.placement.metric(code), self._meters(points)))
-
-    def _meters(self, points: np.ndarray) -> np.ndarray:
-        return points[self.kept] * self.source.units.meters_per_unit
+        meters = points[self.kept] * self.source.units.meters_per_unit
+        return Pose(np.eye(4)[None], points=transform(self.placement.metric(code), meters))
 
 
 @dataclass
 class DeformedMotion:
-    """A surface that UsdSkel itself skins: dual quaternions under a skeleton scaled unevenly, which joint matrices
-    cannot express."""
+    """A surface that UsdSkel itself skins, on the host, because joint matrices cannot say how it moves.
+
+    So it is with weights that do not sum to one, and with dual quaternions under an uneven scale.
+
+    points: (n, 3) float64, the prim's own [stage units]; blended: those with blend shapes added, at a time code.
+    kept: (m,) which of them the surface has.
+    """
 
     skeleton: SkeletonState
     query: UsdSkel.SkinningQuery
     points: np.ndarray
     kept: np.ndarray
+    blended: Callable[[float], np.ndarray] | None = None
     animated: bool = True
 
     def pose(self, time: float) -> Pose:
         source = self.skeleton.source
         code = source.code(time)
-        from pxr import Vt
-
-        skinned = Vt.Vec3fArray.FromNumpy(self.points.astype(np.float32))
-        joints = self.skeleton.query.ComputeSkinningTransforms(code)
-        self.query.ComputeSkinnedPoints(joints, skinned, code)
+        points = self.points if self.blended is None else self.blended(code)
+        skinned = Vt.Vec3fArray.FromNumpy(points.astype(np.float32))
+        self.query.ComputeSkinnedPoints(self.skeleton.query.ComputeSkinningTransforms(code), skinned, code)
         meters = np.array(skinned, dtype=np.float64)[self.kept] * source.units.meters_per_unit
         return Pose(np.eye(4)[None], points=transform(self.skeleton.placement.metric(code), meters))
+
+
+def add_shapes(points: np.ndarray, shapes: BlendShapes, weights: np.ndarray) -> np.ndarray:
+    """(n, 3) points with the shapes added at (shape_count,) weights."""
+    result = points.copy()
+    each = np.repeat(weights, np.diff(shapes.shape_offsets))
+    np.add.at(result, shapes.point_indices, each[:, None] * shapes.point_offsets)
+    return result
 
 
 def transform(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:

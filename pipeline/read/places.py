@@ -22,9 +22,9 @@ Convention = Callable[[Body, np.ndarray, np.ndarray], Iterator[Places]]
 def skinprim(source: Source, curves: Curves, lines: Polylines) -> Convention | None:
     """Houdini's: `skinprim` is the face, `skinprimuv` the place on it.
 
-    On a quad corners 0, 1, 2, 3 have (u, v) = (0, 0), (0, 1), (1, 1), (1, 0); on a triangle u and v weigh corners 1
-    and 2; on a larger polygon u runs around the edge and v from there to the middle. Read with u and v swapped too,
-    as tools that number quads the other way have it.
+    On a quad corners 0, 1, 2, 3 have (u, v) = (0, 0), (0, 1), (1, 1), (1, 0); on a triangle u and v weigh corners
+    1 and 2; on a larger polygon u runs around the edge and v from there to the middle. Read with u and v swapped
+    too, as tools that number quads the other way have it.
     """
     faces = _per_strand(source, curves, lines, ("skinprim",), 1)
     places = _per_strand(source, curves, lines, ("skinprimuv",), 2)
@@ -63,8 +63,10 @@ def rest_place(source: Source, curves: Curves, lines: Polylines) -> Convention |
 
 
 def texture_place(source: Source, curves: Curves, lines: Polylines) -> Convention | None:
-    """`groom_root_uv`, `st` or `uv`: the root's texture coordinates on the skin. Where charts overlap, the place that
-    lies closest to the drawn root is meant."""
+    """`groom_root_uv`, `st` or `uv`: the root's texture coordinates on the skin.
+
+    Where charts overlap, the place that lies closest to the drawn root is meant.
+    """
     wanted = _per_strand(source, curves, lines, ("groom_root_uv", "st", "uv"), 2)
     if wanted is None:
         return None

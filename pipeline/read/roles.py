@@ -40,7 +40,7 @@ class Role:
 
     @property
     def collides(self) -> bool:
-        """Whether strands collide with it: so do prims whose own physics is skipped, as they stay where they are."""
+        """Whether strands collide with it; also with what is skipped by its own physics: it stays where it is."""
         if not is_solid(self.prim) or self.role not in ("collider", PROP, "flesh", "cloth", "rigid"):
             return False
         by_physics = self.role in ("rigid", PROP) and not self.recognised.startswith("plait:role")

@@ -1,8 +1,8 @@
 """Where strands grow. USD has no standard for it: several conventions are tried, and the drawing decides.
 
-A convention names a place on a skin; the drawing says whether that is meant, by how far the drawn root lies from it.
-The drawing may lie beside the skin in its bind pose, in its own coordinates (a groom exported without the skin's
-transform), or in the pose of the first frame; whichever is nearest is taken.
+A convention names a place on a skin; the drawing says whether that is meant, by how far the drawn root lies from
+it. The drawing may lie beside the skin in its bind pose, in its own coordinates (a groom exported without the
+skin's transform), or in the pose of the first frame; whichever is nearest is taken.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from plait.pipeline.read.carriers import GatheredMotion, own_carrier, place_poin
 from plait.pipeline.read.closest import closest_on_triangles
 from plait.pipeline.read.curves import Curves, Polylines
 from plait.pipeline.read.motions import Anchor, Placement, transform
-from plait.pipeline.read.skeletons import SkeletonBinding
+from plait.pipeline.read.skeletons import SkeletonBinding, read_geom_bind
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Body
 from plait.solver.scene import Surface
 
-# A root belongs to a place no further off than this part of its strand's length, and, since the drawn surface may be
-# smoother than its cage, this part of the triangle's size.
+# A root belongs to a place no further off than this part of its strand's length and, since the drawn surface may
+# be smoother than its cage, this part of the triangle's size.
 REACH_OF_LENGTH = 0.25
 REACH_OF_TRIANGLE = 0.5
 # A convention holds if this part of the strands agrees with it.
@@ -148,8 +148,8 @@ class _Search:
             if tried:
                 best = max(tried, key=lambda found: found.share)
                 self.source.warn(
-                    f"agrees with the drawn roots for {best.share:.0%} of the strands at best (on {best.body.path}); "
-                    "not used",
+                    f"agrees with the drawn roots for {best.share:.0%} of the strands at best, on "
+                    f"{best.body.path}; not used",
                     self.curves.prim,
                     label,
                 )
@@ -233,8 +233,7 @@ def _own_to_world(source: Source, curves: Curves, binding: SkeletonBinding | Non
     """(4, 4), the curves' own space [stage units] to scene coordinates, as drawn, at the first frame."""
     scale = np.diag([source.units.meters_per_unit] * 3 + [1.0])
     if binding is not None and binding.query.HasJointInfluences():
-        geom_bind = np.array(binding.query.GetGeomBindTransform(source.start)).T
-        return binding.skeleton.placement.metric(source.start) @ scale @ geom_bind
+        return binding.skeleton.placement.metric(source.start) @ scale @ read_geom_bind(source, binding)
     return Placement(source, curves.prim).metric(source.start) @ scale
 
 
@@ -256,7 +255,7 @@ class _Assembly:
         self.count = len(lines.curves)
 
     def rooted(self) -> Rooted:
-        """On the skin itself where all strands grow on one, drawn at its rest; else on triangles gathered for them."""
+        """On the skin itself where all strands grow on one, drawn at its rest; else on triangles gathered."""
         used = [self.chosen[k] for k in np.unique(self.owner[self.owner >= 0])]
         if not used:
             return self._on_own()

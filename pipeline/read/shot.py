@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdUtils
+from pxr import Tf, Usd, UsdGeom, UsdUtils
 
 from plait.pipeline.config import Config
 from plait.pipeline.read import curves as drawn
@@ -24,14 +24,17 @@ from plait.solver.scene import RootBinding, Scene, Strands, Surface
 def read_shot(path: Path, config: Config, frames: tuple[float, float] | None = None) -> Shot:
     """Reads a shot. frames: first and last time code wanted; the shot's own range if None.
 
-    Roles whose physics does not exist yet are reported with `supported=False`, not refused. Without strands no skin
-    is read. Raises InputError for input that cannot be right, UsageError for frames or parameters that cannot.
+    Roles whose physics does not exist yet are reported with `supported=False`, not refused. Without strands no
+    skin is read. Raises InputError for input that cannot be right, UsageError for such frames or parameters.
     """
     parameters.check_configuration(config)
     # USD prints its warnings; here they become the shot's.
     diagnostics = UsdUtils.CoalescingDiagnosticDelegate()
     source = Source(Path(path), frames)
-    shot = _Reader(source, config).shot()
+    try:
+        shot = _Reader(source, config).shot()
+    except Tf.ErrorException as error:
+        raise source.error(f"USD cannot evaluate it: {error}", mend="check it with usdchecker") from error
     for diagnostic in diagnostics.TakeUncoalescedDiagnostics():
         source.warn(" ".join(diagnostic.commentary.split()))
     return replace(shot, warnings=tuple(source.warnings))

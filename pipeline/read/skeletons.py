@@ -13,6 +13,8 @@ from plait.pipeline.read.motions import SkeletonState
 from plait.pipeline.read.source import PREDICATE, Source
 from plait.solver.scene import BlendShapes, SkinningMethod
 
+# What half-float weights may lack to one.
+ROUNDING = 2e-3
 INFLUENCES = ("primvars:skel:jointIndices", "primvars:skel:jointWeights")
 
 
@@ -29,13 +31,14 @@ class Influences:
     """Joints of each point, in a compact numbering.
 
     used: (n,) joints in the skeleton's order.  indices: (point_count, k) int32 into `used`.  weights: the same
-    shape, as authored.  rigid: one joint moves all points, with weight one.
+    shape.  normal: they sum to one.  rigid: one joint moves all points, with weight one.
     """
 
     used: np.ndarray
     indices: np.ndarray
     weights: np.ndarray
     method: SkinningMethod
+    normal: bool
 
     @property
     def rigid(self) -> bool:
@@ -67,6 +70,7 @@ class Skeletons:
         return len({id(binding.skeleton) for binding in self._bound.values()})
 
     def _populate(self, root: UsdSkel.Root) -> None:
+        self._check_targets(root.GetPrim())
         self._cache.Populate(root, PREDICATE)
         states: dict[str, SkeletonState] = {}
         for binding in self._cache.ComputeSkelBindings(root, PREDICATE):
@@ -83,7 +87,6 @@ class Skeletons:
                 if target.HasJointInfluences() or target.HasBlendShapes():
                     self._bound[str(target.GetPrim().GetPath())] = SkeletonBinding(states[path], target)
         self._find_hidden(root.GetPrim())
-        self._check_unbound(root.GetPrim())
 
     def _check_skeleton(self, skeleton: UsdSkel.Skeleton, query: UsdSkel.SkeletonQuery | None) -> None:
         prim = skeleton.GetPrim()
@@ -113,30 +116,33 @@ class Skeletons:
             if lost and not prim.GetTypeName():
                 self.hidden |= {str(p.GetPath()): str(prim.GetPath()) for p in lost}
                 self._source.warn(
-                    f"has no type, so UsdSkel does not see the {len(lost)} skinned prims beneath it; make it an Xform",
+                    f"has no type, so UsdSkel does not see the {len(lost)} skinned prims beneath it; "
+                    "make it an Xform",
                     prim,
                 )
 
-    def _check_unbound(self, root: Usd.Prim) -> None:
-        """Influences that nothing uses because the skeleton they ask for is not there."""
+    def _check_targets(self, root: Usd.Prim) -> None:
+        """Raises InputError for a skeleton or animation that is asked for and not there."""
         for prim in Usd.PrimRange(root, PREDICATE):
-            relationship = prim.GetRelationship("skel:skeleton")
-            for target in relationship.GetTargets() if relationship else ():
-                found = self._source.stage.GetPrimAtPath(target)
-                if not found or not found.IsA(UsdSkel.Skeleton):
-                    raise self._source.error(
-                        f"names <{target}>, which is no Skeleton", prim, "skel:skeleton", "name a Skeleton prim"
-                    )
-            relationship = prim.GetRelationship("skel:animationSource")
-            for target in relationship.GetTargets() if relationship else ():
-                found = self._source.stage.GetPrimAtPath(target)
-                if not found or not found.IsA(UsdSkel.Animation):
-                    raise self._source.error(
-                        f"names <{target}>, which is no SkelAnimation",
-                        prim,
-                        "skel:animationSource",
-                        "name a SkelAnimation prim",
-                    )
+            for name, schema in (("skel:skeleton", UsdSkel.Skeleton), ("skel:animationSource", UsdSkel.Animation)):
+                relationship = prim.GetRelationship(name)
+                for target in relationship.GetTargets() if relationship else ():
+                    found = self._source.stage.GetPrimAtPath(target)
+                    if not found or not found.IsA(schema):
+                        kind = "Skeleton" if schema is UsdSkel.Skeleton else "SkelAnimation"
+                        raise self._source.error(
+                            f"names <{target}>, which is no {kind}", prim, name, f"name a {kind} prim"
+                        )
+
+
+def read_geom_bind(source: Source, binding: SkeletonBinding) -> np.ndarray:
+    """(4, 4), column vectors: the prim's own space to its skeleton's, both in stage units."""
+    matrix = np.array(binding.query.GetGeomBindTransform(source.start)).T
+    if not np.all(np.isfinite(matrix)) or not np.any(matrix[:3, :3]):
+        raise source.error(
+            "is no transform", binding.query.GetPrim(), "primvars:skel:geomBindTransform", "author a finite matrix"
+        )
+    return matrix
 
 
 def read_influences(source: Source, binding: SkeletonBinding, point_count: int) -> Influences:
@@ -167,13 +173,13 @@ def read_influences(source: Source, binding: SkeletonBinding, point_count: int) 
     indices = arrays[0].reshape(rows, size).astype(np.int64)
     weights = arrays[1].reshape(rows, size)
     joints = _mapped_joints(source, binding, indices)
-    _warn_of_weights(source, prim, weights)
+    weights, normal = _normalised(source, prim, weights)
     # A joint without weight moves nothing; pointing it at one that does keeps the list of used joints short.
     heaviest = np.take_along_axis(joints, np.argmax(weights, axis=1)[:, None], axis=1)
     joints = np.where(weights == 0.0, heaviest, joints)
     used, compact = np.unique(joints, return_inverse=True)
     compact = compact.reshape(joints.shape)
-    if len(used) == 1 and np.allclose(weights.sum(axis=1), 1.0, rtol=0.0, atol=1e-7):
+    if len(used) == 1 and normal:
         compact, weights = np.zeros((rows, 1), int), np.ones((rows, 1))
     method = "dual-quaternion" if query.GetSkinningMethod() == UsdSkel.Tokens.dualQuaternion else "linear"
     return Influences(
@@ -181,6 +187,7 @@ def read_influences(source: Source, binding: SkeletonBinding, point_count: int) 
         np.broadcast_to(compact, (point_count, compact.shape[1])).astype(np.int32),
         np.broadcast_to(weights, (point_count, weights.shape[1])).astype(np.float64),
         method,
+        normal,
     )
 
 
@@ -205,16 +212,20 @@ def _mapped_joints(source: Source, binding: SkeletonBinding, indices: np.ndarray
     return joints
 
 
-def _warn_of_weights(source: Source, prim: Usd.Prim, weights: np.ndarray) -> None:
+def _normalised(source: Source, prim: Usd.Prim, weights: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Weights whose rows sum to one exactly, and whether they did but for rounding."""
     if np.any(weights < 0.0):
         source.warn(f"{int((weights < 0.0).sum())} weights are negative", prim, INFLUENCES[1])
-    off = np.abs(weights.sum(axis=1) - 1.0) > 1e-3
+    sums = weights.sum(axis=1, keepdims=True)
+    off = np.abs(sums[:, 0] - 1.0) > ROUNDING
     if off.any():
         source.warn(
-            f"the weights of {int(off.sum())} of {len(off)} points do not sum to one; used as they are, as UsdSkel does",
+            f"the weights of {int(off.sum())} of {len(off)} points do not sum to one; UsdSkel skins it as it is",
             prim,
             INFLUENCES[1],
         )
+        return weights, False
+    return weights / sums, True
 
 
 def read_blend_shapes(
@@ -236,8 +247,8 @@ def read_blend_shapes(
     for k in range(count):
         moved = np.array(offsets[k], dtype=np.float64).reshape(-1, 3)
         own = np.array(indices[shapes.GetBlendShapeIndex(k)], dtype=np.int64)
-        own = own if len(own) else np.arange(len(moved))
-        own = own[: len(moved)] if len(moved) == 0 else own
+        if not len(own) or not len(moved):  # All points move, or (the shape at weight zero) none.
+            own = np.arange(len(moved))
         shape = shapes.GetBlendShape(shapes.GetBlendShapeIndex(k)).GetPrim()
         if len(own) != len(moved):
             raise source.error(

@@ -59,7 +59,7 @@ class Source:
         """The time code of `time` [s]; rounding errors of the division do not miss a sample."""
         code = time * self.units.time_codes_per_second
         whole = round(code)
-        return float(whole) if abs(code - whole) < 1e-6 else code
+        return float(whole if abs(code - whole) < 1e-6 else code)
 
     def local_to_world(self, prim: Usd.Prim, code: float) -> np.ndarray:
         """(4, 4) float64, column vectors, in stage units."""
@@ -97,8 +97,7 @@ class Source:
             ("timeCodesPerSecond", stage.GetTimeCodesPerSecond(), _rate_is_authored(stage)),
         ):
             if not given:
-                self.warn(f"not authored, taken as {value:g}" if key != "upAxis" else f"not authored, taken as {value}",
-                          attribute=key)  # fmt: skip
+                self.warn(f"not authored, taken as {value}", attribute=key)
         meters, rate = UsdGeom.GetStageMetersPerUnit(stage), stage.GetTimeCodesPerSecond()
         kilograms = UsdPhysics.GetStageKilogramsPerUnit(stage)
         for key, value, low, high in (

@@ -134,8 +134,8 @@ def _stiffness(
             if np.any(lock < bend):
                 bend = np.minimum(bend, lock)
                 source.warn(
-                    f"drawn {thickest:.2g} m thick with no stiffness authored: bendStiffness is taken in proportion "
-                    f"to length and weight, {np.median(bend):.3g} N m2",
+                    f"drawn {thickest:.2g} m thick with no stiffness authored: bendStiffness is taken in "
+                    f"proportion to length and weight, {np.median(bend):.3g} N m2",
                     curves.prim,
                     "widths",
                 )

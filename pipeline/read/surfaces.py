@@ -21,13 +21,20 @@ from plait.pipeline.read.motions import (
     PointsMotion,
     RigidMotion,
     SkinnedMotion,
+    add_shapes,
     is_similarity,
     transform,
 )
-from plait.pipeline.read.skeletons import SkeletonBinding, Skeletons, read_blend_shapes, read_influences
+from plait.pipeline.read.skeletons import (
+    SkeletonBinding,
+    Skeletons,
+    read_blend_shapes,
+    read_geom_bind,
+    read_influences,
+)
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.triangles import has_area, triangulate, weld
-from plait.solver.scene import BlendShapes, Skinning, Surface
+from plait.solver.scene import BlendShapes, Motion, Skinning, Surface
 
 
 @dataclass(frozen=True)
@@ -141,15 +148,22 @@ def read_body(source: Source, prim: Usd.Prim, binding: SkeletonBinding | None) -
     )
 
 
+_NO_TRIANGLES = np.zeros((0, 3), np.int32)
+
+
 @dataclass(frozen=True)
 class _Bound:
-    """A surface before welding. attached: (point_count, k) what else moves a point.  shapes: its blend shapes."""
+    """A surface before welding, without its triangles.
+
+    attached: (point_count, k), what moves a point beside where it is.  keep_motion: makes the motion of the points
+    that welding keeps, where it depends on them.
+    """
 
     surface: Surface
     attached: np.ndarray
     rest_to_world: np.ndarray
     own_to_rest: np.ndarray
-    keep_motion: Callable[[np.ndarray], object] | None = None
+    keep_motion: Callable[[np.ndarray], Motion] | None = None
 
 
 def _bind(
@@ -163,13 +177,12 @@ def _bind(
     rest = anchor.points(points)
     to_world = anchor.undo(placement.metric(source.start))
     own_to_rest = _linear(anchor.linear * anchor.meters_per_unit)
-    no_triangles = np.zeros((0, 3), np.int32)
     if binding is not None:
         blended = read_blend_shapes(source, binding, len(points), own_to_rest[:3, :3])
         if blended:
             shapes_, weights = blended
             motion = BlendedMotion(source, placement, anchor, weights)
-            surface = Surface(name, rest, no_triangles, motion, blend_shapes=shapes_)
+            surface = Surface(name, rest, _NO_TRIANGLES, motion, blend_shapes=shapes_)
             return _Bound(surface, _shape_rows(shapes_, len(points)), to_world, own_to_rest)
     if animated:
         attribute = UsdGeom.PointBased(prim).GetPointsAttr()
@@ -177,8 +190,8 @@ def _bind(
         def cache(kept: np.ndarray) -> PointsMotion:
             return PointsMotion(source, attribute, placement, len(points), kept)
 
-        return _Bound(Surface(name, rest, no_triangles), np.zeros((len(points), 0)), to_world, own_to_rest, cache)
-    surface = Surface(name, rest, no_triangles, RigidMotion(source, placement, anchor))
+        return _Bound(Surface(name, rest, _NO_TRIANGLES), np.zeros((len(points), 0)), to_world, own_to_rest, cache)
+    surface = Surface(name, rest, _NO_TRIANGLES, RigidMotion(source, placement, anchor))
     return _Bound(surface, np.zeros((len(points), 0)), to_world, own_to_rest)
 
 
@@ -186,39 +199,37 @@ def _bind_to_joints(source: Source, prim: Usd.Prim, points: np.ndarray, binding:
     skeleton = binding.skeleton
     influences = read_influences(source, binding, len(points))
     anchor = Anchor.of(skeleton.placement, source)
-    geom_bind = np.array(binding.query.GetGeomBindTransform(source.start)).T
-    if not np.all(np.isfinite(geom_bind)):
-        raise source.error("is not finite", prim, "primvars:skel:geomBindTransform", "author finite numbers")
-    to_rest = _linear(anchor.linear * anchor.meters_per_unit)
-    rest = transform(to_rest @ geom_bind, points)
-    to_world = anchor.undo(skeleton.placement.metric(source.start))
+    own_to_rest = _linear(anchor.linear * anchor.meters_per_unit)
+    bound_to_rest = own_to_rest @ read_geom_bind(source, binding)
     name = str(prim.GetPath())
-    blended = read_blend_shapes(source, binding, len(points), (to_rest @ geom_bind)[:3, :3])
+    rest = transform(bound_to_rest, points)
+    to_world = anchor.undo(skeleton.placement.metric(source.start))
+    attached = np.column_stack([influences.indices, influences.weights])
+    uneven = influences.method == "dual-quaternion" and not influences.rigid and not is_similarity(anchor.linear)
+    if uneven or not influences.normal:
+
+        def deform(kept: np.ndarray) -> DeformedMotion:
+            return DeformedMotion(skeleton, binding.query, points, kept, _blended(source, binding, points))
+
+        return _Bound(Surface(name, rest, _NO_TRIANGLES), attached, to_world, own_to_rest, deform)
+    blended = read_blend_shapes(source, binding, len(points), bound_to_rest[:3, :3])
     shapes_, weights = blended if blended else (None, None)
-    motion = SkinnedMotion(skeleton, anchor, influences.used, weights)
+    if shapes_ is not None:
+        attached = np.column_stack([attached, _shape_rows(shapes_, len(points))])
     skinning = None
     if not influences.rigid:
         skinning = Skinning(influences.indices, influences.weights, influences.method)
-    attached = np.column_stack([influences.indices, influences.weights])
-    if shapes_ is not None:
-        attached = np.column_stack([attached, _shape_rows(shapes_, len(points))])
-    no_triangles = np.zeros((0, 3), np.int32)
-    keep_motion = None
-    if skinning is not None and influences.method == "dual-quaternion" and not is_similarity(anchor.linear):
-        if shapes_ is not None:
-            raise source.error(
-                "dual quaternion skinning with blend shapes under an uneven scale is not supported",
-                prim,
-                "primvars:skel:skinningMethod",
-                "scale the skeleton evenly",
-            )
-        skinning = None
+    motion = SkinnedMotion(skeleton, anchor, influences.used, weights)
+    surface = Surface(name, rest, _NO_TRIANGLES, motion, skinning, shapes_)
+    return _Bound(surface, attached, to_world, own_to_rest)
 
-        def keep_motion(kept: np.ndarray) -> DeformedMotion:
-            return DeformedMotion(skeleton, binding.query, points, kept)
 
-    surface = Surface(name, rest, no_triangles, motion, skinning, shapes_)
-    return _Bound(surface, attached, to_world, to_rest, keep_motion)
+def _blended(source: Source, binding: SkeletonBinding, points: np.ndarray) -> Callable[[float], np.ndarray] | None:
+    read = read_blend_shapes(source, binding, len(points), np.eye(3))
+    if read is None:
+        return None
+    held, weights = read
+    return lambda code: add_shapes(points, held, weights(code))
 
 
 def _keep(bound: _Bound, kept: np.ndarray, triangles: np.ndarray) -> Surface:
