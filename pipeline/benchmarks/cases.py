@@ -1,0 +1,8 @@
+"""Every benchmark case there is; a new physics adds its own here."""
+
+from __future__ import annotations
+
+from plait.pipeline.benchmarks import rods
+from plait.pipeline.benchmarks.case import Case
+
+CASES: tuple[Case, ...] = (*rods.CASES,)
