@@ -24,7 +24,10 @@ from plait.pipeline.targets import VALUE_TYPES, Target
 # Where the layer says how it was made: customLayerData["plait"].
 RECORD = "plait"
 
-_NOT_COPIED = frozenset({"subLayers", "subLayerOffsets", "customLayerData", "comment", "documentation"})
+# What the source says of itself or says as well from where it is sublayered.
+_NOT_COPIED = frozenset(
+    {"subLayers", "subLayerOffsets", "layerRelocates", "customLayerData", "comment", "documentation"}
+)
 
 
 @dataclass(frozen=True)
@@ -39,12 +42,14 @@ class Sample:
 
 
 def asset_path(target: Path, folder: Path) -> str:
-    """How a layer in `folder` names `target`: relative, absolute only where no relative path exists (drives)."""
-    target, folder = target.resolve(), folder.resolve()
+    """How a layer in `folder` names `target`: relative, absolute only where no relative path exists (drives).
+
+    Links are left as they are given: USD too takes '..' off the text of a path, not off what it links to.
+    """
     try:
         relative = Path(os.path.relpath(target, folder)).as_posix()
     except ValueError:
-        return target.as_posix()
+        return target.absolute().as_posix()
     return relative if relative.startswith("../") else f"./{relative}"
 
 

@@ -96,7 +96,7 @@ def _copy_metadata(top: Sdf.Layer, packed: Sdf.Layer, output: Path, sources: Seq
 
 def _flattened(packed: Sdf.Layer, output: Path) -> Sdf.Layer:
     """All of the stage in one layer, asset paths relative to where it will lie."""
-    folder = output.resolve().parent
+    folder = output.absolute().parent
     packed.subLayerPaths[:] = [str(folder / path) for path in packed.subLayerPaths]
     flat = Usd.Stage.Open(packed).Flatten(addSourceFileComment=False)
     UsdUtils.ModifyAssetPaths(flat, lambda path: _relative(path, folder))

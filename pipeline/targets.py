@@ -39,21 +39,24 @@ class Target:
 
 
 def curve_target(prim: Usd.Prim, output: CurveOutput) -> Target:
-    """What overriding `prim`, the source's own, takes. Stale accelerations and normal indices are blocked."""
-    attributes = ["points", "velocities", "extent"]
-    blocked = [(name, Sdf.ValueTypeNames.Vector3fArray) for name in ("accelerations",) if _authored(prim, name)]
+    """What overriding `prim`, the source's own, takes.
+
+    Attributes that belong to the source's own points and are not given anew are blocked.
+    """
+    attributes, stale = ["points", "velocities", "extent"], ["accelerations", "primvars:normals:indices"]
+    normals = [name for name in ("primvars:normals", "normals") if _authored(prim, name)]
     if output.has_normals:
-        primvar = _authored(prim, "primvars:normals")
-        attributes.append("primvars:normals" if primvar else "normals")
-        if primvar and _authored(prim, "primvars:normals:indices"):
-            blocked.append(("primvars:normals:indices", Sdf.ValueTypeNames.IntArray))
+        attributes.append(normals[0] if normals else "normals")
+    else:
+        stale += normals
+    blocked = tuple((name, prim.GetAttribute(name).GetTypeName()) for name in stale if _authored(prim, name))
     return Target(
         output.prim_path,
         tuple(attributes),
         free_clip_set(prim),
         output.skinned,
         output.skinned and not prim.HasAPI(UsdSkel.BindingAPI),
-        tuple(blocked),
+        blocked,
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom
 
+from plait.pipeline.cli import main
 from plait.pipeline.compare import DEFAULT_TOLERANCE, compare, show, strand_lengths
 from plait.pipeline.errors import InputError, UsageError
 from plait.pipeline.plot import line_plot
@@ -174,6 +175,23 @@ def test_the_command_prints_and_judges(tmp_path, capsys):
     (hair,) = held["prims"]
     assert (hair["first_beyond"], hair["largest_frame"], hair["largest_point"]) == (3.0, 3.0, 4)
     assert hair["largest"] == pytest.approx(1.1e-4, abs=ROUNDING)
+
+
+def test_exit_codes_of_the_command(tmp_path, capsys):
+    """0 the same, 4 different, 2 a tolerance that cannot be, 5 a file that is none; errors are one line."""
+    same, other = cache(tmp_path / "a.usda"), cache(tmp_path / "b.usda", moved((1, 0, 0)))
+    (tmp_path / "broken.usda").write_text("not USD")
+    arguments = (
+        ([same, same], 0),
+        ([same, other], 4),
+        ([same, other, "--tolerance", "1.5"], 0),
+        ([same, other, "--tolerance", "-1"], 2),
+        ([same, tmp_path / "nowhere.usda"], 5),
+        ([tmp_path / "broken.usda", same], 5),
+    )
+    for given, expected in arguments:
+        assert main(["compare", *map(str, given)]) == expected, given
+        assert capsys.readouterr().err.count("\n") == (expected in (2, 5))
 
 
 def test_the_page_is_one_file_with_plots(tmp_path):

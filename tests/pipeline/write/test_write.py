@@ -84,6 +84,25 @@ def test_paths_are_relative_and_survive_a_move(fabricated, tmp_path, shot):
     assert not stage.GetCompositionErrors()
 
 
+def test_folders_behind_links(fabricated, tmp_path, shot):
+    """A result folder that is a link to another disk opens by the path that was given for it."""
+    (tmp_path / "disk" / "deep" / "results").mkdir(parents=True)
+    (tmp_path / "results").symlink_to(tmp_path / "disk" / "deep" / "results")
+    stage = Usd.Stage.Open(str(fabricated.write(tmp_path / "results" / "out.usda", shot, fabricated.frames(1, 2))))
+    assert len(stage.GetPrimAtPath("/World/hair").GetAttribute("points").GetTimeSamples()) == 2
+    assert stage.GetPrimAtPath("/World/hair").GetAttribute("widths").HasAuthoredValue()
+
+
+def test_file_names_of_every_kind(fabricated, tmp_path):
+    """Spaces, the signs that USD writes around paths, letters of all alphabets."""
+    folder = tmp_path / "a b@c #é %20"
+    folder.mkdir()
+    shot = fabricated.shot_of(fabricated.curve_source(folder / "s h@t.usda"))
+    stage = Usd.Stage.Open(str(fabricated.write(tmp_path / "r @ 1" / "o@u t.usda", shot, fabricated.frames(1, 2))))
+    assert len(stage.GetPrimAtPath("/World/hair").GetAttribute("points").GetTimeSamples()) == 2
+    assert stage.GetPrimAtPath("/World/hair").GetAttribute("widths").HasAuthoredValue()
+
+
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])
 def test_every_usd_suffix_opens(fabricated, tmp_path, shot, suffix):
     out = fabricated.write(tmp_path / f"out{suffix}", shot, fabricated.frames(1, 2))
@@ -136,6 +155,20 @@ def test_stale_attributes_are_blocked_and_normals_refreshed(fabricated, tmp_path
     shown = np.array(UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals").ComputeFlattened(3))
     assert np.array_equal(shown, fabricated.results(shot, 3.0, normals=True)[0].normals)
     assert not prim.GetAttribute("normals").GetTimeSamples()
+
+
+def test_normals_that_are_not_refreshed_are_blocked(fabricated, tmp_path):
+    """Better none than those of other points."""
+    path = fabricated.curve_source(tmp_path / "shots" / "shot.usda")
+    source = Usd.Stage.Open(str(path))
+    curves = UsdGeom.BasisCurves(source.GetPrimAtPath("/World/hair"))
+    curves.CreateNormalsAttr([(0, 0, 1)] * 6)
+    UsdGeom.PrimvarsAPI(curves).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray).Set([(0, 0, 1)])
+    source.Save()
+    out = fabricated.write(tmp_path / "out.usda", fabricated.shot_of(path), fabricated.frames(1, 4))
+    stage = Usd.Stage.Open(str(out))
+    for name in ("normals", "primvars:normals"):
+        assert stage.GetPrimAtPath("/World/hair").GetAttribute(name).Get(2) is None
 
 
 def test_plain_normals_are_refreshed(fabricated, tmp_path):
