@@ -154,13 +154,7 @@ class FollowingMotion:
     def pose(self, time: float) -> Pose:
         code = self.source.code(time)
         points = values.vectors(self.source, self.attribute, code)
-        if len(points) != len(self.rest_points):
-            raise self.source.error(
-                f"has {len(points)} points at time code {code:g}, {len(self.rest_points)} at the first frame",
-                self.attribute.GetPrim(),
-                "points",
-                "the number of points must not change",
-            )
+        values.check_count(self.source, self.attribute, code, points, len(self.rest_points))
         points = transform(self.placement.metric(code), points * self.source.units.meters_per_unit)
         whole = _best_rotation(self.rest_points, points)
         before = (self.rest_points[self.seconds] - self.rest_points[self.roots]) @ whole.T

@@ -86,7 +86,7 @@ def read_curves(source: Source, prim: Usd.Prim) -> Curves:
     curves = UsdGeom.BasisCurves(prim)
     points_attribute, counts_attribute = curves.GetPointsAttr(), curves.GetCurveVertexCountsAttr()
     counts = values.integers(source, counts_attribute)
-    points = values.vectors(source, points_attribute)
+    points = values.steady_vectors(source, points_attribute)
     if len(counts) and counts.min() < 0:
         raise source.error("has a negative count", prim, "curveVertexCounts", "author counts of points")
     if counts.sum() != len(points):
@@ -105,19 +105,7 @@ def read_curves(source: Source, prim: Usd.Prim) -> Curves:
             raise source.error(
                 f"changes at time code {code:g}", prim, "curveVertexCounts", "the topology must not change"
             )
-    animated = points_attribute.ValueMightBeTimeVarying()
-    if animated:
-        samples = points_attribute.GetTimeSamples()
-        for code in (samples[0], samples[len(samples) // 2], samples[-1]):
-            count = len(values.vectors(source, points_attribute, code))
-            if count != len(points):
-                raise source.error(
-                    f"has {count} points at time code {code:g}, {len(points)} at the first frame",
-                    prim,
-                    "points",
-                    "the number of points must not change",
-                )
-    return Curves(prim, points, counts, animated)
+    return Curves(prim, points, counts, points_attribute.ValueMightBeTimeVarying())
 
 
 def polylines(curves: Curves) -> Polylines | None:

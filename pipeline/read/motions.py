@@ -178,13 +178,7 @@ class PointsMotion:
     def pose(self, time: float) -> Pose:
         code = self.source.code(time)
         points = values.vectors(self.source, self.attribute, code)
-        if len(points) != self.point_count:
-            raise self.source.error(
-                f"has {len(points)} points at time code {code:g}, {self.point_count} at the first frame",
-                self.attribute.GetPrim(),
-                self.attribute.GetName(),
-                "the number of points must not change",
-            )
+        values.check_count(self.source, self.attribute, code, points, self.point_count)
         meters = points[self.kept] * self.source.units.meters_per_unit
         return Pose(np.eye(4)[None], points=transform(self.placement.metric(code), meters))
 

@@ -61,11 +61,6 @@ def applied_schemas(prim: Usd.Prim) -> set[str]:
     return set(prim.GetAppliedSchemas()) | set(listed.GetAppliedItems() if listed else ())
 
 
-def may_carry(role: Role) -> bool:
-    """Whether strands may grow on a prim that has no role: a visible mesh nobody excluded."""
-    return role.role == SKIPPED and role.carries
-
-
 def is_solid(prim: Usd.Prim) -> bool:
     return prim.IsA(UsdGeom.Mesh) or shapes.is_shape(prim)
 

@@ -11,6 +11,7 @@ from pxr import Tf, Usd, UsdGeom, UsdUtils
 from plait.pipeline.config import Config
 from plait.pipeline.read import curves as drawn
 from plait.pipeline.read import parameters, roles, strands
+from plait.pipeline.read.extents import Neighbourhood
 from plait.pipeline.read.gravity import read_gravity
 from plait.pipeline.read.roles import Role
 from plait.pipeline.read.roots import Rooted, find_roots
@@ -137,7 +138,7 @@ class _Reader:
         for groom in grooms:
             named = self._named_skins(groom.role.prim)
             binding = self.skeletons.find(groom.role.prim)
-            candidates = named if named is not None else self._candidates()
+            candidates = named if named is not None else self._candidates(groom)
             groom.rooted = find_roots(
                 self.source, groom.curves, groom.lines, binding, candidates, named is not None
             )
@@ -174,9 +175,14 @@ class _Reader:
             named.append(body)
         return named
 
-    def _candidates(self) -> list[Body]:
-        """Meshes that strands may grow on: colliders, and visible meshes that have no role of their own."""
-        prims = [r.prim for r in self.roles if r.prim.IsA(UsdGeom.Mesh) and (r.collides or roles.may_carry(r))]
+    def _candidates(self, groom: _Groom) -> list[Body]:
+        """Meshes that strands may grow on: colliders, and visible meshes nearby that have no role of their own."""
+        near = Neighbourhood(self.source, groom.curves)
+        prims = [
+            role.prim
+            for role in self.roles
+            if role.prim.IsA(UsdGeom.Mesh) and (role.collides or (role.carries and near.touches(role.prim)))
+        ]
         bodies = [self.bodies.get(prim) for prim in prims]
         return [body for body in bodies if body is not None]
 

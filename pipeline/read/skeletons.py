@@ -158,7 +158,7 @@ def read_influences(source: Source, binding: SkeletonBinding, point_count: int) 
     found = query.ComputeJointInfluences(source.start)
     if not found or size < 1:
         raise source.error(
-            "and primvars:skel:jointWeights do not fit together",
+            "does not fit primvars:skel:jointWeights",
             prim,
             INFLUENCES[0],
             "author the same count and elementSize for both",

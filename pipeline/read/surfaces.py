@@ -284,7 +284,7 @@ def _read_polygons(source: Source, prim: Usd.Prim) -> _Polygons:
     for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
         if attribute.ValueMightBeTimeVarying():
             raise source.error("is animated", prim, attribute.GetName(), "the topology must not change")
-    points = values.vectors(source, mesh.GetPointsAttr())
+    points = values.steady_vectors(source, mesh.GetPointsAttr())
     counts = values.integers(source, mesh.GetFaceVertexCountsAttr())
     indices = values.integers(source, mesh.GetFaceVertexIndicesAttr())
     if len(counts) and counts.min() < 0:

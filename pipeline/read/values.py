@@ -21,6 +21,29 @@ def vectors(source: Source, attribute: Usd.Attribute, code: float | None = None)
     return value
 
 
+def steady_vectors(source: Source, attribute: Usd.Attribute) -> np.ndarray:
+    """`vectors` at the first frame; raises InputError where the first, middle or last sample has another number.
+
+    Reading every sample of a cache here would take longer than simulating beside it; motions check each they use.
+    """
+    result = vectors(source, attribute)
+    codes = attribute.GetTimeSamples()
+    for code in (codes[0], codes[len(codes) // 2], codes[-1]) if len(codes) > 1 else ():
+        check_count(source, attribute, code, vectors(source, attribute, code), len(result))
+    return result
+
+
+def check_count(source: Source, attribute: Usd.Attribute, code: float, found: np.ndarray, count: int) -> None:
+    """Raises InputError unless `found`, read at `code`, has as many entries as at the first frame."""
+    if len(found) != count:
+        raise source.error(
+            f"has {len(found)} entries at time code {code:g}, {count} at the first frame",
+            attribute.GetPrim(),
+            attribute.GetName(),
+            "the number of points must not change",
+        )
+
+
 def scalars(source: Source, attribute: Usd.Attribute, code: float | None = None) -> np.ndarray:
     """An array of numbers, (n,) float64; empty where nothing is authored. Raises InputError as `vectors` does."""
     value = array(source, attribute, code)
