@@ -96,11 +96,12 @@ def compare(reference: Path, new: Path, tolerance: float = DEFAULT_TOLERANCE) ->
     strand counts, different sample times and values that are not finite count as different at any tolerance; a
     prim is compared up to the first such sample.
 
-    Raises UsageError for a tolerance that is negative or not a number, InputError for a file that does not open.
+    Raises UsageError for a tolerance that is negative or not a number, InputError for a file that does not open or
+    of which chunks, layers or references are missing.
     """
     if not tolerance >= 0.0:
         raise UsageError(f"--tolerance {tolerance}: give metres, 0 or more")
-    stages = layers.open_stage(reference), layers.open_stage(new)
+    stages = layers.open_whole(reference), layers.open_whole(new)
     found = [_point_prims(stage) for stage in stages]
     prims = [
         _compare_prim(path, stages, tolerance)
@@ -130,6 +131,8 @@ def show(
 
 
 def _stage_problems(reference: Usd.Stage, new: Usd.Stage) -> Iterable[str]:
+    if not _point_prims(reference):
+        yield "the reference has nothing to compare with"
     for name, get in (
         ("time codes per second", Usd.Stage.GetTimeCodesPerSecond),
         ("up axis", UsdGeom.GetStageUpAxis),

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Tf, Usd, Vt
+from pxr import Sdf, Tf, Usd, UsdUtils, Vt
 
 from plait.pipeline.errors import InputError, PlaitError
 from plait.pipeline.files import replacing
@@ -226,6 +226,31 @@ def open_stage(path: Path) -> Usd.Stage:
         return Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         raise InputError("cannot be opened as USD", file=path) from error
+
+
+def open_whole(path: Path) -> Usd.Stage:
+    """The stage at `path`, InputError when any of it is missing: USD itself opens what is left."""
+    warnings = UsdUtils.CoalescingDiagnosticDelegate()  # what they say is said below, in one line
+    stage = open_stage(path)
+    warnings.TakeUncoalescedDiagnostics()
+    errors = [" ".join(str(error).split()) for error in stage.GetCompositionErrors()]
+    lost = errors or [f"{name} is missing, which holds frames of the result" for name in missing_chunks(stage)]
+    if lost:
+        raise InputError(lost[0], file=path, mend="copy the whole result, with its cache folder and its source")
+    return stage
+
+
+def missing_chunks(stage: Usd.Stage) -> list[str]:
+    """Files that the clips of the simulated prims name and that are not there."""
+    missing: dict[str, None] = {}
+    for path in simulated_prims(stage.GetRootLayer()):
+        prim = stage.GetPrimAtPath(path)
+        clips = Usd.ClipsAPI(prim)
+        for name in (clips.GetClips() or {}) if prim else ():
+            missing |= dict.fromkeys(
+                asset.path for asset in clips.GetClipAssetPaths(name) if not asset.resolvedPath
+            )
+    return list(missing)
 
 
 def simulated_prims(layer: Sdf.Layer) -> tuple[str, ...]:

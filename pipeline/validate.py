@@ -73,6 +73,9 @@ def _key(finding: Finding) -> tuple[str, str]:
 def own_findings(stage: Usd.Stage) -> list[Finding]:
     """Of the simulated prims: skinned a second time, not finite, changing counts, extents that are too small."""
     prims = layers.simulated_prims(stage.GetRootLayer())
+    missing = layers.missing_chunks(stage)
+    if missing:
+        return [Finding("plait:Missing", "", f"{name} is not there") for name in missing]
     skinned = skinned_prims(stage)
     found = [Finding("plait:SkinnedTwice", path, "is skinned again") for path in prims if path in skinned]
     for path in prims:

@@ -177,10 +177,12 @@ def test_the_command_prints_and_judges(tmp_path, capsys):
     assert hair["largest"] == pytest.approx(1.1e-4, abs=ROUNDING)
 
 
-def test_exit_codes_of_the_command(tmp_path, capsys):
+def test_exit_codes_of_the_command(tmp_path, capfd):
     """0 the same, 4 different, 2 a tolerance that cannot be, 5 a file that is none; errors are one line."""
     same, other = cache(tmp_path / "a.usda"), cache(tmp_path / "b.usda", moved((1, 0, 0)))
     (tmp_path / "broken.usda").write_text("not USD")
+    (tmp_path / "partial.usda").write_text("#usda 1.0\n(\n subLayers = [@./gone.usda@, @./a.usda@]\n)\n")
+    (tmp_path / "empty.usda").write_text("#usda 1.0\n")
     arguments = (
         ([same, same], 0),
         ([same, other], 4),
@@ -188,10 +190,12 @@ def test_exit_codes_of_the_command(tmp_path, capsys):
         ([same, other, "--tolerance", "-1"], 2),
         ([same, tmp_path / "nowhere.usda"], 5),
         ([tmp_path / "broken.usda", same], 5),
+        ([same, tmp_path / "partial.usda"], 5),
+        ([tmp_path / "empty.usda", tmp_path / "empty.usda"], 4),
     )
     for given, expected in arguments:
         assert main(["compare", *map(str, given)]) == expected, given
-        assert capsys.readouterr().err.count("\n") == (expected in (2, 5))
+        assert capfd.readouterr().err.count("\n") == (expected in (2, 5))
 
 
 def test_the_page_is_one_file_with_plots(tmp_path):

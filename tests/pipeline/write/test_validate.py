@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
+from plait.pipeline.compare import compare
 from plait.pipeline.errors import InputError
 from plait.pipeline.layers import open_stage
 from plait.pipeline.validate import skinned_prims, validate, validator_findings
@@ -153,6 +154,18 @@ def test_finds_a_new_validator_error(fabricated, tmp_path):
     top.pseudoRoot.ClearInfo("metersPerUnit")
     top.Save()
     assert any("StageMetadata" in check for check in checks(out))
+
+
+def test_a_missing_chunk_is_found_and_is_no_result_to_compare(fabricated, tmp_path, capfd):
+    """USD plays what is left of a result that was copied in part, with no more than a warning."""
+    shot = fabricated.shot_of(fabricated.curve_source(tmp_path / "shot.usda"))
+    out = fabricated.write(tmp_path / "out.usda", shot, fabricated.frames(1, 8))
+    (cache_folder(out) / "chunk.0002.usdc").unlink()
+    assert "plait:Missing" in checks(out)
+    capfd.readouterr()
+    with pytest.raises(InputError, match=r"out\.usda: \./chunk\.0002\.usdc is missing"):
+        compare(out, out)
+    assert capfd.readouterr().err == ""
 
 
 def test_what_does_not_open_is_bad_input(tmp_path):
