@@ -19,7 +19,7 @@ MAX_GROUPS = 256
 class BodyTable:
     """`Bodies` of the surfaces in reach, kept in step with the kinematics stage.
 
-    Triangles are gathered in groups of neighbours whose boxes and motion bounds are taken once a substep: they
+    Triangles are gathered in groups of neighbours whose boxes and motions are taken once a substep: they
     tell which strands come near which part of a surface, and how fast that part moves.
     solid: by index into `Scene.surfaces`, whether it has an inside that nothing belongs in: closed, and facing
     outwards at rest.
@@ -44,9 +44,10 @@ class BodyTable:
         groups = Groups()
         groups.vertex_offsets = wp.array(np.concatenate([[0], np.cumsum(counts)]), dtype=wp.int32, device=device)
         groups.vertices = wp.array(np.concatenate(vertices), dtype=wp.int32, device=device)
-        for name in ("lower", "upper", "shift"):
+        for name in ("lower", "upper", "centre", "shift"):
             setattr(groups, name, wp.zeros(total, dtype=wp.vec3d, device=device))
-        groups.spread = wp.zeros(total, dtype=wp.float64, device=device)
+        groups.rotation = wp.zeros(total, dtype=wp.mat33d, device=device)
+        groups.deformation = wp.zeros(total, dtype=wp.float64, device=device)
         self.bodies = Bodies()
         self.bodies.groups = groups
         self.bodies.triangles = self.colliders.triangles

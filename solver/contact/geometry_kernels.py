@@ -121,14 +121,19 @@ def closest_point(triangle: Triangle, x: wp.vec3d) -> Closest:
 
 @wp.struct
 class Groups:
-    """Triangles near each other, with bounds of their motion over a substep; group g has one entry."""
+    """Triangles near each other, and how they move over a substep; group g has one entry.
+
+    The motion is x' = rotation (x - centre) + centre + shift, up to `deformation`.
+    """
 
     vertex_offsets: wp.array(dtype=wp.int32)  # (group_count + 1,)
     vertices: wp.array(dtype=wp.int32)  # of each group, once each
     lower: wp.array(dtype=wp.vec3d)  # [m] box of the start and end positions
     upper: wp.array(dtype=wp.vec3d)
+    centre: wp.array(dtype=wp.vec3d)  # [m] mean start position
     shift: wp.array(dtype=wp.vec3d)  # [m] mean displacement
-    spread: wp.array(dtype=wp.float64)  # [m] largest deviation from it
+    rotation: wp.array(dtype=wp.mat33d)
+    deformation: wp.array(dtype=wp.float64)  # [m] largest distance of a vertex from where the motion takes it
 
 
 @wp.kernel
@@ -139,24 +144,40 @@ def bound_groups(
     points_end: wp.array(dtype=wp.vec3d),
     groups: Groups,
 ):
-    """Fills lower, upper, shift and spread of the groups listed in `active`; one group an item."""
+    """Fills boxes and motions of the groups listed in `active`, one group an item.
+
+    The rotation is the best in the sense of least squares (Kabsch 1976).
+    """
     g = active[first + wp.tid()]
     begin = groups.vertex_offsets[g]
     end = groups.vertex_offsets[g + 1]
     lower = points_start[groups.vertices[begin]]
     upper = lower
-    shift = wp.vec3d()
+    centre = wp.vec3d()
+    centre_end = wp.vec3d()
     for k in range(begin, end):
         v = groups.vertices[k]
         lower = wp.min(lower, wp.min(points_start[v], points_end[v]))
         upper = wp.max(upper, wp.max(points_start[v], points_end[v]))
-        shift += points_end[v] - points_start[v]
-    shift = shift / wp.float64(end - begin)
-    spread = ZERO
+        centre += points_start[v]
+        centre_end += points_end[v]
+    centre = centre / wp.float64(end - begin)
+    centre_end = centre_end / wp.float64(end - begin)
+    covariance = wp.mat33d()
     for k in range(begin, end):
         v = groups.vertices[k]
-        spread = wp.max(spread, wp.length(points_end[v] - points_start[v] - shift))
+        covariance += wp.outer(points_end[v] - centre_end, points_start[v] - centre)
+    u, _sigma, v_matrix = wp.svd3(covariance)
+    handed = wp.determinant(u) * wp.determinant(v_matrix)
+    rotation = u * wp.diag(wp.vec3d(ONE, ONE, handed)) * wp.transpose(v_matrix)
+    deformation = ZERO
+    for k in range(begin, end):
+        v = groups.vertices[k]
+        off = rotation * (points_start[v] - centre) + centre_end - points_end[v]
+        deformation = wp.max(deformation, wp.length(off))
     groups.lower[g] = lower
     groups.upper[g] = upper
-    groups.shift[g] = shift
-    groups.spread[g] = spread
+    groups.centre[g] = centre
+    groups.shift[g] = centre_end - centre
+    groups.rotation[g] = rotation
+    groups.deformation[g] = deformation

@@ -106,52 +106,115 @@ def first_hit(bodies: Bodies, body: int, start: wp.vec3d, end: wp.vec3d) -> int:
     return -1
 
 
+@wp.struct
+class Near:
+    """A strand against a surface: whether they can meet, and how the surface moves nearby.
+
+    The motion is x' = rotation (x - centre) + centre + shift; no part of the surface near the strand moves
+    otherwise by more than `deviation`.
+    """
+
+    meets: bool
+    centre: wp.vec3d  # [m]
+    shift: wp.vec3d  # [m]
+    rotation: wp.mat33d
+    deviation: wp.float64  # [m]
+
+
+@wp.func
+def box_gap(lower1: wp.vec3d, upper1: wp.vec3d, lower2: wp.vec3d, upper2: wp.vec3d) -> wp.float64:
+    gap = wp.max(wp.max(lower1 - upper2, lower2 - upper1), wp.vec3d())
+    return wp.length(gap)
+
+
+@wp.func
+def follow(near: Near, x: wp.vec3d) -> wp.vec3d:
+    return near.rotation * (x - near.centre) + near.centre + near.shift
+
+
+@wp.func
+def find_near(bodies: Bodies, body: int, lower: wp.vec3d, upper: wp.vec3d, margin: wp.float64) -> Near:
+    """Against the box of a strand's start and end positions, grown by `margin`; the nearest group's motion."""
+    near = Near()
+    if box_gap(lower, upper, bodies.lower[body], bodies.upper[body]) > margin:
+        return near
+    groups = bodies.groups
+    begin = bodies.first_group[body]
+    end = begin + bodies.group_count[body]
+    nearest = wp.int32(-1)
+    least = margin
+    for g in range(begin, end):
+        gap = box_gap(lower, upper, groups.lower[g], groups.upper[g])
+        if gap < least or (nearest < 0 and gap <= margin):
+            least = gap
+            nearest = g
+    if nearest < 0:
+        return near
+    near.meets = True
+    near.centre = groups.centre[nearest]
+    near.shift = groups.shift[nearest]
+    near.rotation = groups.rotation[nearest]
+    for g in range(begin, end):
+        if box_gap(lower, upper, groups.lower[g], groups.upper[g]) <= margin:
+            # Two rigid motions differ no more than at one point, and by their turning over the way from there.
+            half = HALF * wp.length(groups.upper[g] - groups.lower[g])
+            apart = wp.length(groups.centre[g] + groups.shift[g] - follow(near, groups.centre[g]))
+            turning = groups.rotation[g] - near.rotation
+            turn = wp.sqrt(wp.ddot(turning, turning))
+            near.deviation = wp.max(near.deviation, apart + TWO * turn * half + groups.deformation[g])
+    return near
+
+
+@wp.struct
+class Seen:
+    """The triangle of a surface nearest to where a node starts."""
+
+    triangle: int  # -1: none near enough to matter
+    inside: bool  # by the angle-weighted normal there (Baerentzen and Aanaes 2005)
+
+
 @wp.func
 def find_contact(
     bodies: Bodies,
     body: int,
+    near: Near,
     keeps_out: bool,
+    seen: Seen,
     start: wp.vec3d,
     end: wp.vec3d,
     radius: wp.float64,
     clearance: wp.float64,
-    relative: wp.float64,
-    spread: wp.float64,
-    depth: wp.float64,
     exit_distance: wp.float64,
 ) -> Contact:
     """The plane a node must stay beyond, if any, going from `start` (start pose) to `end` (end pose).
 
-    The start is carried along in the frame of the triangle nearest to it; from there a ray to the end, at the end
-    pose, finds what was crossed however fast body and node moved; else the nearest point decides. A surface that
+    The start is carried along by the surface; from there a ray to the end, at the end pose, finds what was crossed
+    however fast body and node moved; else the nearest point decides. A surface that
     keeps out (a solid, or the one the strand grows on) has an inside, told by the angle-weighted normal at the
     nearest feature (Baerentzen and Aanaes 2005); on any other surface a node stays on the side it was on.
 
-    relative: [m] how far node and surface move against each other at most; spread: [m] of that, by the surface's
-        turning and deforming; depth: [m] how deep inside the node may have begun.
+    seen: what of the surface is nearest to `start`.
     exit_distance: [m] what starts nearer than asked, or inside, gains no more than this.
     """
     contact = Contact()
     full = radius + bodies.thickness[body]
-    search = float(TWO * full + relative + depth)
-    query = wp.mesh_query_point_sign_normal(bodies.mesh_start[body], to_float(start), search)
-    if not query.result:
-        return contact
-    index = bodies.first_triangle[body] + query.face
+    index = seen.triangle
     before = get_triangle(bodies.triangles, bodies.points_start, index)
     after = get_triangle(bodies.triangles, bodies.points_end, index)
     nearest = closest_point(before, start)
     normal_before = unit_normal(before)
     normal_after = unit_normal(after)
-    turn = wp.identity(n=3, dtype=wp.float64)
-    if wp.length_sq(normal_before) > ZERO and wp.length_sq(normal_after) > ZERO:
-        turn = triangle_frame(after, normal_after) * wp.transpose(triangle_frame(before, normal_before))
     offset = start - interpolate(before, nearest.weights)
     distance = wp.length(offset)
+    # Within an edge's length the triangle's own frame carries; further out its turning says little.
+    turn = near.rotation
+    if distance <= wp.length(before.b - before.a):
+        if wp.length_sq(normal_before) > ZERO and wp.length_sq(normal_after) > ZERO:
+            turn = triangle_frame(after, normal_after) * wp.transpose(triangle_frame(before, normal_before))
     side = ONE
     if wp.dot(offset, normal_before) < ZERO:
         side = -ONE
-    began_inside = keeps_out and query.sign < 0.0 and not is_rim(bodies, index, nearest.feature)
+    began_inside = keeps_out and seen.inside and not is_rim(bodies, index, nearest.feature)
     outward = side * normal_before
     if keeps_out:
         outward = normal_before
@@ -160,6 +223,11 @@ def find_contact(
     base = interpolate(after, nearest.weights)
     carried = base + turn * offset
     moved = wp.length(end - carried)
+    relative = wp.length(end - follow(near, start))
+    look = TWO * full + QUARTER * moved
+    # No part of the surface can have come nearer to the node's way than this.
+    if not began_inside and distance - near.deviation > relative + look:
+        return contact
 
     began = distance
     if began_inside:
@@ -172,7 +240,7 @@ def find_contact(
         origin = base + turn * outward * HALF * full
         lifted = base + turn * outward * wp.max(distance, HALF * full)
         hit = wp.int32(-1)
-        if moved + TWO * spread >= distance:
+        if wp.max(moved, relative) + TWO * near.deviation >= distance:
             # Another part of the surface may have come between the nearest triangle and the node.
             if distance > full:
                 hit = first_hit(bodies, body, origin, lifted)
@@ -195,24 +263,20 @@ def find_contact(
                 contact.depth = wp.max(wp.dot(struck.a - end, normal), ZERO)
                 return contact
 
-    # Further than this the end cannot be inside, nor near enough to be worth a plane.
-    look = TWO * full + QUARTER * moved
     if began_inside:
         look += distance + moved
-    elif distance > look + moved + TWO * spread:
-        return contact
     query = wp.mesh_query_point_sign_normal(bodies.mesh_end[body], to_float(end), float(look))
     if not query.result:
         return contact
     index = bodies.first_triangle[body] + query.face
     triangle = get_triangle(bodies.triangles, bodies.points_end, index)
-    near = closest_point(triangle, end)
+    struck_at = closest_point(triangle, end)
     normal = unit_normal(triangle)
     contact.found = True
-    contact.point = interpolate(triangle, near.weights)
+    contact.point = interpolate(triangle, struck_at.weights)
     away = end - contact.point
     gap = wp.length(away)
-    inside = keeps_out and query.sign < 0.0 and not is_rim(bodies, index, near.feature)
+    inside = keeps_out and query.sign < 0.0 and not is_rim(bodies, index, struck_at.feature)
     if not keeps_out:
         # Deformation may have carried the surface over the node without a crossing of the ray.
         if nearest.feature != INSIDE:
@@ -220,7 +284,7 @@ def find_contact(
             if wp.dot(away, normal) < ZERO:
                 side = -ONE
         normal = side * normal
-        inside = near.feature == INSIDE and wp.dot(away, normal) < ZERO
+        inside = struck_at.feature == INSIDE and wp.dot(away, normal) < ZERO
     contact.normal = normal
     if gap > NOISE * full:
         contact.normal = away / gap
@@ -231,45 +295,6 @@ def find_contact(
     # Only a triangle without area that is touched exactly leaves no direction.
     contact.found = wp.length_sq(contact.normal) > ZERO
     return contact
-
-
-@wp.struct
-class Near:
-    """A strand against a surface: whether they can meet, and how they move relative to each other."""
-
-    meets: bool
-    shift: wp.vec3d  # [m] displacement of the surface nearby
-    spread: wp.float64  # [m] largest deviation from it
-
-
-@wp.func
-def box_gap(lower1: wp.vec3d, upper1: wp.vec3d, lower2: wp.vec3d, upper2: wp.vec3d) -> wp.float64:
-    gap = wp.max(wp.max(lower1 - upper2, lower2 - upper1), wp.vec3d())
-    return wp.length(gap)
-
-
-@wp.func
-def find_near(bodies: Bodies, body: int, lower: wp.vec3d, upper: wp.vec3d, margin: wp.float64) -> Near:
-    """Against the box of a strand's start and end positions, grown by `margin`."""
-    near = Near()
-    if box_gap(lower, upper, bodies.lower[body], bodies.upper[body]) > margin:
-        return near
-    begin = bodies.first_group[body]
-    end = begin + bodies.group_count[body]
-    count = wp.int32(0)
-    for g in range(begin, end):
-        if box_gap(lower, upper, bodies.groups.lower[g], bodies.groups.upper[g]) <= margin:
-            near.shift += bodies.groups.shift[g]
-            count += 1
-    if count == 0:
-        return near
-    near.meets = True
-    near.shift = near.shift / wp.float64(count)
-    for g in range(begin, end):
-        if box_gap(lower, upper, bodies.groups.lower[g], bodies.groups.upper[g]) <= margin:
-            deviation = wp.length(bodies.groups.shift[g] - near.shift) + bodies.groups.spread[g]
-            near.spread = wp.max(near.spread, deviation)
-    return near
 
 
 @wp.struct
@@ -359,12 +384,41 @@ def share_room(planes: ContactPlanes, plane_body: wp.array(dtype=wp.int32), node
                 planes.offset[b] = planes.offset[b] - HALF * excess
 
 
+@wp.struct
+class Memory:
+    """The nearest triangle of a node's start, kept for the passes of a substep; one surface a node."""
+
+    body: wp.array(dtype=wp.int32)  # (node_count,) -1: none
+    triangle: wp.array(dtype=wp.int32)
+    inside: wp.array(dtype=wp.int32)
+
+
+@wp.func
+def look_from(memory: Memory, bodies: Bodies, body: int, node: int, start: wp.vec3d, search: wp.float64) -> Seen:
+    """The nearest triangle within `search` [m] of `start`, remembered or sought."""
+    seen = Seen()
+    if memory.body[node] == body:
+        seen.triangle = memory.triangle[node]
+        seen.inside = memory.inside[node] == 1
+        return seen
+    seen.triangle = -1
+    query = wp.mesh_query_point_sign_normal(bodies.mesh_start[body], to_float(start), float(search))
+    if query.result:
+        seen.triangle = bodies.first_triangle[body] + query.face
+        seen.inside = query.sign < 0.0
+        memory.body[node] = body
+        memory.triangle[node] = seen.triangle
+        memory.inside[node] = wp.where(seen.inside, 1, 0)
+    return seen
+
+
 @wp.func
 def node_contact(
     bodies: Bodies,
     body: int,
     near: Near,
     nodes: ContactNodes,
+    memory: Memory,
     strand: int,
     node: int,
     start: wp.vec3d,
@@ -372,20 +426,16 @@ def node_contact(
     depth: wp.float64,
     exit_distance: wp.float64,
 ) -> Contact:
+    radius = nodes.radius[node]
+    search = (
+        TWO * (radius + bodies.thickness[body]) + wp.length(end - follow(near, start)) + near.deviation + depth
+    )
+    seen = look_from(memory, bodies, body, node, start, search)
+    if seen.triangle < 0:
+        return Contact()
     keeps_out = bodies.solid[body] == 1 or bodies.surface[body] == nodes.surface[strand]
-    relative = wp.length(end - start - near.shift) + near.spread
     return find_contact(
-        bodies,
-        body,
-        keeps_out,
-        start,
-        end,
-        nodes.radius[node],
-        nodes.clearance[node],
-        relative,
-        near.spread,
-        depth,
-        exit_distance,
+        bodies, body, near, keeps_out, seen, start, end, radius, nodes.clearance[node], exit_distance
     )
 
 
@@ -398,6 +448,7 @@ def find_planes(
     end: wp.array(dtype=wp.vec3d),
     depth: wp.array(dtype=wp.float64),
     exit_distance: wp.float64,
+    memory: Memory,
     planes: ContactPlanes,
     plane_body: wp.array(dtype=wp.int32),
     flags: wp.array(dtype=wp.int32),
@@ -420,7 +471,17 @@ def find_planes(
             for i in range(nodes.first_node[strand] + PRESCRIBED, nodes.first_node[strand + 1]):
                 if nodes.clearance[i] >= ZERO:
                     contact = node_contact(
-                        bodies, body, near, nodes, strand, i, start[i], end[i], depth[strand], exit_distance
+                        bodies,
+                        body,
+                        near,
+                        nodes,
+                        memory,
+                        strand,
+                        i,
+                        start[i],
+                        end[i],
+                        depth[strand],
+                        exit_distance,
                     )
                     if contact.found:
                         deepest = wp.max(deepest, contact.depth)
@@ -440,6 +501,7 @@ def project_out(
     depth: wp.array(dtype=wp.float64),
     exit_distance: wp.float64,
     flags: wp.array(dtype=wp.int32),
+    memory: Memory,
     end: wp.array(dtype=wp.vec3d),
     moved_out: wp.array(dtype=wp.int32),
     depth_out: wp.array(dtype=wp.float64),
@@ -464,7 +526,17 @@ def project_out(
                 for i in range(nodes.first_node[strand] + PRESCRIBED, nodes.first_node[strand + 1]):
                     if nodes.clearance[i] >= ZERO:
                         contact = node_contact(
-                            bodies, body, near, nodes, strand, i, start[i], end[i], depth[strand], exit_distance
+                            bodies,
+                            body,
+                            near,
+                            nodes,
+                            memory,
+                            strand,
+                            i,
+                            start[i],
+                            end[i],
+                            depth[strand],
+                            exit_distance,
                         )
                         if contact.found:
                             deepest = wp.max(deepest, contact.depth)

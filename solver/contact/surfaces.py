@@ -10,7 +10,7 @@ import warp as wp
 from plait.solver.contact.bodies import BodyTable
 from plait.solver.contact.inside_kernels import find_inside, measure_roots, note_drawn
 from plait.solver.contact.planes import PLANES_A_NODE, ContactPlanes, allocate_planes
-from plait.solver.contact.surface_kernels import UNBOUNDED, ContactNodes, find_planes, project_out
+from plait.solver.contact.surface_kernels import UNBOUNDED, ContactNodes, Memory, find_planes, project_out
 from plait.solver.kinematics.colliders import Collider
 from plait.solver.model import Interval, Model
 from plait.solver.state import State
@@ -67,6 +67,10 @@ class SurfaceContact:
         self._work = max(1, node_count // self.count)
         self.planes: ContactPlanes = allocate_planes(node_count, device)
         self._plane_body = wp.full(node_count * PLANES_A_NODE, -1, dtype=wp.int32, device=device)
+        self._memory = Memory()
+        self._memory.body = wp.full(node_count, -1, dtype=wp.int32, device=device)
+        self._memory.triangle = wp.zeros(node_count, dtype=wp.int32, device=device)
+        self._memory.inside = wp.zeros(node_count, dtype=wp.int32, device=device)
         self._depth = wp.zeros(self.count, dtype=wp.float64, device=device)
         self._depth_next = wp.zeros(self.count, dtype=wp.float64, device=device)
         self._moved = wp.zeros(self.count, dtype=wp.int32, device=device)
@@ -113,7 +117,7 @@ class SurfaceContact:
             find_planes,
             self.count,
             [self._table.bodies, self._nodes, start, end, self._depth, self._exit_distance],
-            [self.planes, self._plane_body, flags, self._depth_next],
+            [self._memory, self.planes, self._plane_body, flags, self._depth_next],
             work_per_item=self._work,
         )
         return int(flags.numpy().sum())
@@ -126,7 +130,7 @@ class SurfaceContact:
             project_out,
             self.count,
             [self._table.bodies, self._nodes, start, self._depth, self._exit_distance, flags],
-            [end, self._moved, self._depth_next],
+            [self._memory, end, self._moved, self._depth_next],
             work_per_item=self._work,
         )
         wp.copy(self._depth, self._depth_next)
@@ -160,6 +164,7 @@ class SurfaceContact:
     def _clear(self) -> None:
         self.planes.normal.zero_()
         self._plane_body.fill_(-1)
+        self._memory.body.fill_(-1)
 
     def _note_drawn(self, position: wp.array, first_node: np.ndarray) -> None:
         """Fills clearances and depths against every surface in reach that has an inside."""

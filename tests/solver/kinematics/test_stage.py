@@ -67,9 +67,7 @@ def strands_on(surface: int, root=(0.25, 0.5, 0.1), length=1.0, triangle=0, coun
     )
 
 
-def make_stage(
-    *surfaces: Surface, strands: Strands | None = None, start_time=0.0
-) -> tuple[KinematicsStage, State]:
+def make_stage(*surfaces: Surface, strands: Strands | None = None) -> tuple[KinematicsStage, State]:
     scene = Scene(surfaces, (strands or strands_on(0),))
     state = State()
     model = Model(scene, Settings(threads=2), Launcher("cpu", 2), 0.0)
