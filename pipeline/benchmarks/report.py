@@ -138,6 +138,8 @@ def plot(results: Sequence[Result], path: Path) -> None:
 
 
 def _panel(axes: Any, result: Result) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     measured = {row.variant: row for row in result.rows if row.error and not row.failure}
     kinds = sorted({(variant.integrator, variant.precision) for variant in measured})
     for kind in kinds:
@@ -146,5 +148,8 @@ def _panel(axes: Any, result: Result) -> None:
     front = sorted((row.seconds, row.error) for row in measured.values() if row.front)
     axes.plot(*zip(*front, strict=True) if front else ((), ()), "k-", linewidth=1.0, label="Pareto front")
     axes.set(xscale="log", yscale="log", xlabel="seconds", ylabel="relative error", title=result.case.name)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.grid(True, which="both", alpha=0.3)
     axes.legend(fontsize="small")

@@ -1,0 +1,175 @@
+"""Runs every benchmark and writes `results/*.json` and the tables of the README, `results/tables.md`.
+
+    python tests/benchmarks/measure.py [cost] [pyelastica] [growth] [errors]      default: all, about six minutes
+
+Run it on a machine that does nothing else. Figures of different machines do not compare; ratios within one run do.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyelastica_cost
+import strands_cost
+
+from plait.pipeline import bench
+from plait.pipeline.benchmarks import report, runner
+from plait.pipeline.benchmarks.case import Hardware
+from plait.pipeline.benchmarks.cases import CASES
+from plait.solver.build import build
+from plait.solver.settings import Settings
+
+RESULTS = Path(__file__).parent / "results"
+STRANDS, SEGMENTS = 10_000, 50
+GROWTH = (20, 200, 2_000, 20_000)  # strands: 1e3 to 1e6 segments
+SUBSTEPS_A_SECOND = 192
+# What the rods are to reach, us per segment and substep by threads; and the growth's exponent.
+COST_TO_REACH = {1: 0.8, 2: 0.45}
+EXPONENT_TO_REACH = 1.05
+
+
+def _cost(strand_count: int, threads: int, frames: int = 6) -> dict[str, Any]:
+    """Of `strands_cost.wavy_hair`: us per segment and substep, Newton iterations."""
+    segments = strand_count * SEGMENTS
+    simulation = build(strands_cost.wavy_hair(strand_count, SEGMENTS), Settings(threads=threads))
+    try:
+        best, median, processor, iterations = strands_cost.cost(simulation, segments, frames)
+    finally:
+        simulation.close()
+    return {
+        "segments": segments,
+        "threads": threads,
+        "us_per_segment_substep": {"best": best, "median": median, "processor": processor},
+        "iterations": iterations,
+    }
+
+
+def cost() -> dict[str, Any]:
+    """10,000 strands of 50 segments, dt = 1/192 s, 1 g, on one and two threads."""
+    rows = [_cost(STRANDS, threads) for threads in COST_TO_REACH]
+    for row in rows:
+        row["to_reach"] = COST_TO_REACH[row["threads"]]
+        row["seconds_a_simulated_second"] = _simulated_second(
+            row["us_per_segment_substep"]["median"], SUBSTEPS_A_SECOND
+        )
+    return {"rows": rows}
+
+
+def _simulated_second(microseconds: float, steps: float) -> float:
+    return 1e-6 * microseconds * STRANDS * SEGMENTS * steps
+
+
+def pyelastica() -> dict[str, Any]:
+    """The same hair in PyElastica, a simulated second extrapolated from the cost of a step."""
+    measured = pyelastica_cost.measure()
+    if measured is None:
+        return {"skipped": "PyElastica is not installed: pip install plait[bench]"}
+    each = measured["us_per_segment_step"]["median"]
+    return measured | {"seconds_a_simulated_second": _simulated_second(each, 1.0 / measured["step"])}
+
+
+def growth() -> dict[str, Any]:
+    """From 1e3 to 1e6 segments on one thread: exponent of a straight line through the logarithms."""
+    rows = [_cost(count, threads=1) for count in GROWTH]
+    segments = [row["segments"] for row in rows]
+    seconds = [row["us_per_segment_substep"]["median"] * row["segments"] for row in rows]
+    exponent = float(np.polyfit(np.log(segments), np.log(seconds), 1)[0])
+    return {"rows": rows, "exponent": exponent, "to_reach": EXPONENT_TO_REACH}
+
+
+def errors() -> dict[str, Any]:
+    """`plait bench` on one thread, and its plot."""
+    results = []
+    for case in CASES:
+        print(f"  {case.name}", flush=True)
+        results.append(runner.measure(case, Hardware()))
+    report.plot(results, RESULTS / "errors.png")
+    return {"cases": [report.as_data(result) for result in results]}
+
+
+def _cost_table(held: dict[str, Any]) -> list[str]:
+    lines = [
+        "| 10,000 strands of 50 segments, dt = 1/192 s, 1 g | us per segment and step | a simulated second |",
+        "|-|-|-|",
+    ]
+    for row in held["cost"]["rows"]:
+        each = row["us_per_segment_substep"]
+        lines.append(
+            f"| plait, threads: {row['threads']}, Newton iterations: {row['iterations']:.2f} "
+            f"| {each['median']:.2f} (best {each['best']:.2f}; to reach {row['to_reach']:g}) "
+            f"| {row['seconds_a_simulated_second']:.0f} s |"
+        )
+    other = held.get("pyelastica", {})
+    if "step" in other:
+        lines.append(
+            f"| PyElastica {other['version']}, explicit, dt = {other['step']:.1e} s (its longest), extrapolated "
+            f"| {other['us_per_segment_step']['median']:.2f} | {other['seconds_a_simulated_second']:.1e} s |"
+        )
+    return lines
+
+
+def _growth_table(held: dict[str, Any]) -> list[str]:
+    lines = ["| segments, one thread | us per segment and substep |", "|-|-|"]
+    for row in held["growth"]["rows"]:
+        each = row["us_per_segment_substep"]
+        lines.append(f"| {row['segments']:,} | {each['median']:.2f} (best {each['best']:.2f}) |")
+    exponent = held["growth"]["exponent"]
+    return [
+        *lines,
+        "",
+        f"Cost grows with the number of segments to the power {exponent:.3f} (to reach {EXPONENT_TO_REACH}).",
+    ]
+
+
+def _errors_table(held: dict[str, Any]) -> list[str]:
+    lines = ["| case | time to 1 % | time to 0.1 % | reference | failures |", "|-|-|-|-|-|"]
+    for case in held["errors"]["cases"]:
+        reached = [_reached(case["time_to"][f"{level:g}"]) for level in runner.LEVELS]
+        failures = [*case["failures"], *(row["failure"] for row in case["rows"] if row["failure"])]
+        lines.append(f"| {case['name']} | {' | '.join(reached)} | {case['reference']} | {len(failures)} |")
+    return lines
+
+
+def _reached(row: dict[str, Any] | None) -> str:
+    if row is None:
+        return "not reached"
+    return f"{1e3 * row['seconds']:.3g} ms ({row['segments']} segments, {row['integrator']}, {row['precision']})"
+
+
+MEASUREMENTS: dict[str, Callable[[], dict[str, Any]]] = {
+    "cost": cost,
+    "pyelastica": pyelastica,
+    "growth": growth,
+    "errors": errors,
+}
+TABLES = {"cost": _cost_table, "growth": _growth_table, "errors": _errors_table}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MEASUREMENTS))
+    names = parser.parse_args().names or list(MEASUREMENTS)
+    if unknown := [name for name in names if name not in MEASUREMENTS]:
+        parser.error(f"no measurement {', '.join(unknown)}; there are {', '.join(MEASUREMENTS)}")
+    RESULTS.mkdir(exist_ok=True)
+    for name in names:
+        print(name, flush=True)
+        date = datetime.datetime.now(datetime.UTC).isoformat(timespec="minutes")
+        found = {"date": date, **bench.machine(Hardware()), **MEASUREMENTS[name]()}
+        (RESULTS / f"{name}.json").write_text(bench.as_json_text(found) + "\n")
+    held = {path.stem: json.loads(path.read_text()) for path in sorted(RESULTS.glob("*.json"))}
+    parts = ["\n".join(table(held)) for name, table in TABLES.items() if name in held]
+    first = held[names[0]]
+    made = f"Measured on {first['cores']} cores of {first['processor']}, {first['date'][:10]}."
+    (RESULTS / "tables.md").write_text("\n\n".join([made, *parts]) + "\n")
+    print((RESULTS / "tables.md").read_text())
+
+
+if __name__ == "__main__":
+    main()
