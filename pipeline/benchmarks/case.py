@@ -25,7 +25,8 @@ class Hardware(NamedTuple):
 class Variant(NamedTuple):
     """One way of solving a case.
 
-    segments: a rod's.  substeps: between two samples of the result; 0 for a case that is static.
+    segments: a rod's.  substeps: between two samples of the result; 0 for a case that is static, where the
+        integrator plays no part.
     tolerance: Newton's, of a segment's length.
     """
 
@@ -37,9 +38,8 @@ class Variant(NamedTuple):
 
     @property
     def label(self) -> str:
-        substeps = f", {self.substeps} substeps" if self.substeps else ""
-        solver = f"tolerance {self.tolerance:g}, {self.integrator}, {self.precision}"
-        return f"{self.segments} segments{substeps}, {solver}"
+        steps = f", {self.substeps} substeps, {self.integrator}" if self.substeps else ""
+        return f"{self.segments} segments{steps}, tolerance {self.tolerance:g}, {self.precision}"
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,7 @@ def _cells(case: Case, row: Row) -> tuple[str, ...]:
     return (
         "*" if row.front else "",
         row.ladder,
-        variant.integrator,
+        variant.integrator if variant.substeps else "static",
         variant.precision,
         str(variant.segments),
         _step(case, variant),
@@ -85,7 +85,7 @@ def _cells(case: Case, row: Row) -> tuple[str, ...]:
 
 
 def _step(case: Case, variant: Variant) -> str:
-    return f"{case.interval / variant.substeps:.3g}" if variant.substeps else "static"
+    return f"{case.interval / variant.substeps:.3g}" if variant.substeps else "-"
 
 
 def as_data(result: Result) -> dict[str, Any]:
@@ -141,10 +141,12 @@ def _panel(axes: Any, result: Result) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter
 
     measured = {row.variant: row for row in result.rows if row.error and not row.failure}
-    kinds = sorted({(variant.integrator, variant.precision) for variant in measured})
-    for kind in kinds:
-        rows = [row for variant, row in measured.items() if (variant.integrator, variant.precision) == kind]
-        axes.plot([row.seconds for row in rows], [row.error for row in rows], "o", label=", ".join(kind))
+    kinds: dict[str, list[Row]] = {}
+    for variant, row in measured.items():
+        kind = f"{variant.integrator if variant.substeps else 'static'}, {variant.precision}"
+        kinds.setdefault(kind, []).append(row)
+    for kind, rows in sorted(kinds.items()):
+        axes.plot([row.seconds for row in rows], [row.error for row in rows], "o", label=kind)
     front = sorted((row.seconds, row.error) for row in measured.values() if row.front)
     axes.plot(*zip(*front, strict=True) if front else ((), ()), "k-", linewidth=1.0, label="Pareto front")
     axes.set(xscale="log", yscale="log", xlabel="seconds", ylabel="relative error", title=result.case.name)

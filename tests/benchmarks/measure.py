@@ -20,7 +20,7 @@ import strands_cost
 
 from plait.pipeline import bench
 from plait.pipeline.benchmarks import report, runner
-from plait.pipeline.benchmarks.case import Hardware
+from plait.pipeline.benchmarks.case import Hardware, Variant
 from plait.pipeline.benchmarks.cases import CASES
 from plait.solver.build import build
 from plait.solver.settings import Settings
@@ -139,7 +139,8 @@ def _errors_table(held: dict[str, Any]) -> list[str]:
 def _reached(row: dict[str, Any] | None) -> str:
     if row is None:
         return "not reached"
-    return f"{1e3 * row['seconds']:.3g} ms ({row['segments']} segments, {row['integrator']}, {row['precision']})"
+    names = ("segments", "substeps", "tolerance", "integrator", "precision")
+    return f"{1e3 * row['seconds']:.3g} ms ({Variant(*(row[name] for name in names)).label})"
 
 
 MEASUREMENTS: dict[str, Callable[[], dict[str, Any]]] = {

@@ -2,9 +2,9 @@
 
     python tests/benchmarks/pyelastica_cost.py        (needs `pip install plait[bench]`)
 
-It is given every advantage: free rods without constraints, gravity, damping or shaking, all in one memory block, and
-the longest step at which one such rod stays whole. A simulated second is not run but extrapolated from the cost of a
-step, which does not depend on the motion.
+It is given every advantage: free rods without constraints, gravity, damping or shaking, all in one memory block,
+and the longest step at which one such rod stays whole. A simulated second is not run but extrapolated from what a
+step costs, which does not depend on the motion.
 """
 
 from __future__ import annotations
