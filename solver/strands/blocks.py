@@ -15,7 +15,7 @@ def block_functions(real: type) -> SimpleNamespace:
     A factor L is lower triangular with the reciprocals of its diagonal in the diagonal's place.
     """
     types = rod_types(real)
-    vec4, mat44, module = types.vec4, types.mat44, types.module
+    vec4, mat43, mat44, module = types.vec4, types.mat43, types.mat44, types.module
 
     @wp.func(module=module)
     def cholesky(a: mat44):
@@ -60,6 +60,42 @@ def block_functions(real: type) -> SimpleNamespace:
         return x
 
     @wp.func(module=module)
+    def divide_end(a: mat43, factor: mat44):
+        """The last three columns of x with x L^T = (0, a); the first is zero."""
+        x = mat43()
+        for r in range(4):
+            x1 = a[r, 0] * factor[1, 1]
+            x2 = (a[r, 1] - x1 * factor[2, 1]) * factor[2, 2]
+            x[r, 0] = x1
+            x[r, 1] = x2
+            x[r, 2] = (a[r, 2] - x1 * factor[3, 1] - x2 * factor[3, 2]) * factor[3, 3]
+        return x
+
+    @wp.func(module=module)
+    def subtract_square_end(a: mat44, x: mat43):
+        """a - x x^T, lower triangle."""
+        for r in range(4):
+            for c in range(r + 1):
+                a[r, c] -= x[r, 0] * x[c, 0] + x[r, 1] * x[c, 1] + x[r, 2] * x[c, 2]
+        return a
+
+    @wp.func(module=module)
+    def subtract_square(a: mat44, x: mat44):
+        """a - x x^T, lower triangle."""
+        for r in range(4):
+            for c in range(r + 1):
+                a[r, c] -= x[r, 0] * x[c, 0] + x[r, 1] * x[c, 1] + x[r, 2] * x[c, 2] + x[r, 3] * x[c, 3]
+        return a
+
+    @wp.func(module=module)
+    def subtract_product(a: mat44, x: mat43, y: mat44):
+        """a - (0, x) y^T."""
+        for r in range(4):
+            for c in range(4):
+                a[r, c] -= x[r, 0] * y[c, 1] + x[r, 1] * y[c, 2] + x[r, 2] * y[c, 3]
+        return a
+
+    @wp.func(module=module)
     def forward(factor: mat44, b: vec4):
         """L^-1 b."""
         y0 = b[0] * factor[0, 0]
@@ -77,4 +113,13 @@ def block_functions(real: type) -> SimpleNamespace:
         x0 = (y[0] - factor[1, 0] * x1 - factor[2, 0] * x2 - factor[3, 0] * x3) * factor[0, 0]
         return vec4(x0, x1, x2, x3)
 
-    return SimpleNamespace(cholesky=cholesky, divide=divide, forward=forward, backward=backward)
+    return SimpleNamespace(
+        cholesky=cholesky,
+        divide=divide,
+        divide_end=divide_end,
+        subtract_square=subtract_square,
+        subtract_square_end=subtract_square_end,
+        subtract_product=subtract_product,
+        forward=forward,
+        backward=backward,
+    )

@@ -1,9 +1,13 @@
 """Contact inside a strand's Newton iteration: half-spaces as stiff one-sided springs, with Coulomb friction.
 
 A node deeper than its plane by d is pushed out with N = k d, k a million times the strand's own stiffness (a
-thousand times in float32), so that d stays far below the hair's radius. Friction is implicit and always
-semi-definite: with s the tangential way from the sticking place, the force is -mu N s / max(|s|, slip), N and the
-denominator taken from the current iterate; below `slip`, a hundredth of the radius, it acts as a spring.
+thousand times in float32), so that d stays far below the hair's radius.
+
+Friction is implicit and always semi-definite: with s the tangential way from the sticking place, its force is
+-mu N s / max(|s|, slip), the denominator taken from the current iterate and N from the solve before (lagged, as in
+Li et al. 2020, Incremental Potential Contact, section 5). For given N each iteration then lowers a convex
+dissipation, so nodes cannot flip between sticking and slipping. Below `slip`, a hundredth of the radius, it acts
+as a spring. A node that has only just gone under has no N yet: k d would be the depth of a guess, far too large.
 """
 
 from functools import cache
@@ -17,10 +21,10 @@ from plait.solver.strands.types import module_name, rod_types
 
 @cache
 def contact_functions(real: type) -> SimpleNamespace:
-    """Device functions `push`, `contact_stiffness`, `touching` for `real`."""
+    """Device functions `contact_stiffness`, `release`, `push`, `judge`, `touching` for `real`."""
     types = rod_types(real)
     vec3, mat33, module = types.vec3, types.mat33, module_name(real)
-    Rods = types.Rods
+    Rods, Scratch = types.Rods, types.Scratch
     stiffer = 1.0e6 if real == wp.float64 else 1.0e3
 
     @wp.func(module=module)
@@ -32,34 +36,85 @@ def contact_functions(real: type) -> SimpleNamespace:
         return real(stiffer) * (real(6.0) * rods.bend[root] / (length * length) + rods.mass[root + 1] * inertia)
 
     @wp.func(module=module)
-    def push(planes: ContactPlanes, node: int, x: vec3, origin: wp.vec3d, stiffness: real, slip: real):
-        """Stiffness block and energy gradient of node's contacts at x, a position about `origin`."""
+    def depth_under(planes: ContactPlanes, plane: int, x: vec3, origin: wp.vec3d):
+        """How far x, a position about `origin`, is under the plane [m]; negative above it and without one."""
+        n = planes.normal[plane]
+        depth = real(planes.offset[plane] - wp.dot(n, origin)) - wp.dot(vec3(n), x)
+        return wp.where(wp.dot(n, n) > wp.float64(0.5), depth, real(-1.0))
+
+    @wp.func(module=module)
+    def release(scratch: Scratch, count: int, base: int, stride: int):
+        """Forgets the contact forces of the solve before."""
+        for k in range(count):
+            for i in range(PLANES_A_NODE):
+                slot = (base + k * stride) * PLANES_A_NODE + i
+                scratch.pressure[slot] = real(0.0)
+
+    @wp.func(module=module)
+    def push(
+        planes: ContactPlanes,
+        scratch: Scratch,
+        node: int,
+        slot: int,
+        x: vec3,
+        origin: wp.vec3d,
+        stiffness: real,
+        slip: real,
+    ):
+        """Stiffness block and energy gradient of a node's contacts at x, a position about `origin`."""
         block = mat33()
         gradient = vec3()
         for i in range(PLANES_A_NODE):
             plane = node * PLANES_A_NODE + i
-            n = vec3(planes.normal[plane])
-            depth = real(planes.offset[plane] - wp.dot(planes.normal[plane], origin)) - wp.dot(n, x)
-            if depth > real(0.0) and wp.dot(n, n) > real(0.5):
-                force = stiffness * depth
+            depth = depth_under(planes, plane, x, origin)
+            if depth > real(0.0):
+                n = vec3(planes.normal[plane])
                 nn = wp.outer(n, n)
                 across = wp.identity(n=3, dtype=real) - nn
+                block += stiffness * nn
+                gradient -= (stiffness * depth) * n
                 way = across * (x - vec3(planes.anchor[plane] - origin))
-                friction = real(planes.friction[plane]) * force / wp.max(wp.length(way), slip)
-                block += stiffness * nn + friction * across
-                gradient += friction * way - force * n
+                force = real(planes.friction[plane]) * scratch.pressure[slot * PLANES_A_NODE + i]
+                spring = force / wp.max(wp.length(way), slip)
+                block += spring * across
+                gradient += spring * way
         return block, gradient
+
+    @wp.func(module=module)
+    def judge(
+        planes: ContactPlanes,
+        scratch: Scratch,
+        node: int,
+        slot: int,
+        before: vec3,
+        x: vec3,
+        origin: wp.vec3d,
+        stiffness: real,
+        slip: real,
+    ):
+        """Contact forces after a full step from `before` to x; whether the node has just gone under by `slip` [m]."""
+        under = wp.bool(False)
+        for i in range(PLANES_A_NODE):
+            plane = node * PLANES_A_NODE + i
+            entry = slot * PLANES_A_NODE + i
+            depth = depth_under(planes, plane, x, origin)
+            pressure = real(0.0)
+            if depth > real(0.0):
+                if depth_under(planes, plane, before, origin) > real(0.0):
+                    pressure = stiffness * depth
+                elif depth > slip:
+                    under = wp.bool(True)
+            scratch.pressure[entry] = pressure
+        return under
 
     @wp.func(module=module)
     def touching(planes: ContactPlanes, node: int, x: wp.vec3d):
         """Whether a contact pushes the node at x [m], world."""
         found = wp.bool(False)
         for i in range(PLANES_A_NODE):
-            plane = node * PLANES_A_NODE + i
-            n = planes.normal[plane]
-            found = found or (
-                wp.dot(n, n) > wp.float64(0.5) and planes.offset[plane] - wp.dot(n, x) > wp.float64(0.0)
-            )
+            found = found or depth_under(planes, node * PLANES_A_NODE + i, vec3(), x) > real(0.0)
         return found
 
-    return SimpleNamespace(contact_stiffness=contact_stiffness, push=push, touching=touching)
+    return SimpleNamespace(
+        contact_stiffness=contact_stiffness, release=release, push=push, judge=judge, touching=touching
+    )

@@ -107,51 +107,39 @@ def joint_functions(real: type) -> SimpleNamespace:
         out.gradient_ta = -bend_stiffness * kca - stretch_twist
         out.gradient_tb = -bend_stiffness * kcb + stretch_twist
 
+        # The Hessian as few outer products: terms that share a vector are added up first.
         e = bend_stiffness * beta
         g = twist_stiffness * real(0.25)
         h = stretch_twist * beta * real(0.25)
         sc = s * over
-        pa = identity - wp.outer(ta, ta)
-        pb = identity - wp.outer(tb, tb)
+        turn_a = h * (ta + tt) + (real(0.25) * e) * ba - (half * g) * kb
+        turn_b = h * (tb + tt) + (real(0.25) * e) * bb - (half * g) * kb
+        radial = half * e * (sc - f1 * c)
+        bent_a = e * (w - s * tt)
+        bent_b = e * (z + s * tt)
         haa = (
-            e
-            * (
-                f2 * wp.outer(ua, ua)
-                - f1 * (symmetric_outer(ua, ta) + c * pa)
-                - (real(2.0) * s) * wp.outer(tt, tt)
-                + symmetric_outer(w, tt)
-                + sc * pa
-                - real(0.25) * symmetric_outer(kb, ba)
-            )
-            + g * wp.outer(kb, kb)
-            - h * symmetric_outer(kb, ta + tt)
+            symmetric_outer((half * e * f2) * ua, ua)
+            - symmetric_outer((e * f1) * ua + radial * ta, ta)
+            + symmetric_outer(bent_a, tt)
+            - symmetric_outer(turn_a, kb)
+            + (real(2.0) * radial) * identity
         )
         hbb = (
-            e
-            * (
-                f2 * wp.outer(ub, ub)
-                - f1 * (symmetric_outer(ub, tb) + c * pb)
-                - (real(2.0) * s) * wp.outer(tt, tt)
-                - symmetric_outer(z, tt)
-                + sc * pb
-                - real(0.25) * symmetric_outer(kb, bb)
-            )
-            + g * wp.outer(kb, kb)
-            - h * symmetric_outer(kb, tb + tt)
+            symmetric_outer((half * e * f2) * ub, ub)
+            - symmetric_outer((e * f1) * ub + radial * tb, tb)
+            - symmetric_outer(bent_b, tt)
+            - symmetric_outer(turn_b, kb)
+            + (real(2.0) * radial) * identity
         )
         hba = (
-            e
-            * (
-                f2 * wp.outer(ub, ua)
-                + f1 * (pb * pa)
-                + sc * (identity + wp.outer(tb, ta))
-                - (real(2.0) * s) * wp.outer(tt, tt)
-                + wp.outer(tt, w)
-                - wp.outer(z, tt)
-                - wp.skew(bt)
-            )
-            + g * wp.outer(kb, kb)
-            - (real(2.0) * h) * (wp.outer(tt, kb) + (real(2.0) * over) * wp.skew(ta))
+            wp.outer((e * f2) * ub, ua)
+            + wp.outer(tb, (e * (c * f1 + sc)) * ta - (e * f1) * tb)
+            - wp.outer((e * f1) * ta, ta)
+            + wp.outer(tt, bent_a - (real(2.0) * h) * kb)
+            - wp.outer(bent_b, tt)
+            + wp.outer(g * kb, kb)
+            + (e * (f1 + sc)) * identity
+            - wp.skew(e * bt + (real(4.0) * h * over) * ta)
         )
         out.ea_ta = inverse_a * (e * (kca * tt - over * wp.cross(tb, ca)) - (half * twist_stiffness) * kb)
         out.ea_tb = inverse_a * (e * (kcb * tt - over * wp.cross(tb, cb)) + (half * twist_stiffness) * kb)

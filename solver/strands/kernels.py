@@ -26,8 +26,8 @@ def strand_kernels(real: type) -> SimpleNamespace:
     Rods, RodState, Roots = types.Rods, types.RodState, types.Roots
     Method, Scratch, Report = types.Method, types.Scratch, types.Report
     eliminate, substitute, advance = newton.eliminate, newton.substitute, newton.advance
-    joint_energy = joints.joint_energy
-    touching = contact_functions(real).touching
+    joint_energy, signed_twist = joints.joint_energy, joints.signed_twist
+    touching, release = contact_functions(real).touching, contact_functions(real).release
 
     @wp.func(module=module)
     def part_of_rotation(rotation: wp.mat33d, part: wp.float64):
@@ -97,6 +97,8 @@ def strand_kernels(real: type) -> SimpleNamespace:
         small = method.tolerance * rods.segment[strand]
         iterations = wp.int32(0)
         previous = real(0.0)
+        if constrained:
+            release(scratch, rods.first_node[strand + 1] - rods.first_node[strand], base, stride)
         converged = wp.bool(False)
         while iterations < method.max_iterations and not converged:
             iterations += 1
@@ -117,11 +119,13 @@ def strand_kernels(real: type) -> SimpleNamespace:
             fraction = real(1.0)
             if turn > real(LARGEST_TURN):
                 fraction = real(LARGEST_TURN) / turn
-            advance(rods, scratch, strand, base, stride, fraction)
+            under = advance(
+                rods, scratch, planes, constrained, origin, strand, base, stride, inertia, fraction
+            )  # fmt: skip
             expected = furthest
             if fraction == real(1.0) and previous > furthest:
                 expected = wp.min(furthest, real(SAFETY) * furthest * (furthest / previous))
-            converged = fraction == real(1.0) and expected <= small
+            converged = fraction == real(1.0) and expected <= small and not under
             previous = wp.where(fraction == real(1.0), furthest, real(0.0))
         return iterations, converged
 
@@ -279,6 +283,8 @@ def strand_kernels(real: type) -> SimpleNamespace:
                     rotation, pieces, pieces >= method.max_pieces,
                 )  # fmt: skip
                 iterations += more
+            if method.warm != 0:
+                iterations += report_out.iterations[strand]
             report_out.iterations[strand] = iterations
             report_out.pieces[strand] = pieces
             report_out.unconverged[strand] = wp.where(converged, 0, 1)
@@ -297,6 +303,31 @@ def strand_kernels(real: type) -> SimpleNamespace:
             report_out.contacts[strand] = contacts
             state_out.root_position[strand] = root
             state_out.root_rotation[strand] = rotation
+
+    @wp.kernel(enable_backward=False, module=module)
+    def realign(
+        first: int,
+        active: wp.array(dtype=wp.int32),  # (strand_count,) 0: leave this strand alone
+        first_node: wp.array(dtype=wp.int32),
+        position: wp.array(dtype=wp.vec3d),
+        director_out: wp.array(dtype=wp.vec3d),
+        twist_out: wp.array(dtype=wp.float64),
+    ):
+        """Turns directors the least that makes them perpendicular to their edges again; twist follows."""
+        strand = first + wp.tid()
+        if active[strand] == 0:
+            return
+        begin = first_node[strand]
+        t = vec3(wp.normalize(position[begin + 1] - position[begin]))
+        m = vec3(director_out[begin])
+        for k in range(begin + 1, first_node[strand + 1] - 1):
+            t_next = vec3(wp.normalize(position[k + 1] - position[k]))
+            m_next = vec3(director_out[k])
+            m_next = wp.normalize(m_next - wp.dot(m_next, t_next) * t_next)
+            director_out[k] = wp.vec3d(m_next)
+            twist_out[k] = wp.float64(signed_twist(t, t_next, m, m_next, real(twist_out[k])))
+            t = t_next
+            m = m_next
 
     @wp.kernel(enable_backward=False, module=module)
     def measure(
@@ -343,4 +374,6 @@ def strand_kernels(real: type) -> SimpleNamespace:
         measures_out[strand, 2] = elastic
         measures_out[strand, 3] = potential
 
-    return SimpleNamespace(solve=solve, measure=measure, types=types, newton=newton, joint_energy=joint_energy)
+    return SimpleNamespace(
+        solve=solve, realign=realign, measure=measure, types=types, newton=newton, joint_energy=joint_energy
+    )

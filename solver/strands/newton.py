@@ -24,11 +24,14 @@ def newton_functions(real: type) -> SimpleNamespace:
     joints = joint_functions(real)
     blocks = block_functions(real)
     contact = contact_functions(real)
-    vec3, vec4, mat33, mat44, module = types.vec3, types.vec4, types.mat33, types.mat44, types.module
+    vec3, vec4, mat33 = types.vec3, types.vec4, types.mat33
+    mat43, mat44, module = types.mat43, types.mat44, types.module
     Rods, Scratch = types.Rods, types.Scratch
     Joint, joint, transport, signed_twist = joints.Joint, joints.joint, joints.transport, joints.signed_twist
-    push, contact_stiffness = contact.push, contact.contact_stiffness
-    cholesky, divide, forward, backward = blocks.cholesky, blocks.divide, blocks.forward, blocks.backward
+    push, judge, contact_stiffness = contact.push, contact.judge, contact.contact_stiffness
+    cholesky, divide, divide_end = blocks.cholesky, blocks.divide, blocks.divide_end
+    subtract_square, subtract_square_end = blocks.subtract_square, blocks.subtract_square_end
+    subtract_product, forward, backward = blocks.subtract_product, blocks.forward, blocks.backward
 
     @wp.func(module=module)
     def eliminate(
@@ -117,7 +120,10 @@ def newton_functions(real: type) -> SimpleNamespace:
                 tx = p - joint1.eb_ta
                 d = mass * identity + edge_block + block_after - c1 - wp.transpose(c1)
                 if constrained:
-                    block, pushed = push(planes, node, x_end, origin, stiffness_of_contact, rods.slip[strand])
+                    slot_end = base + (k + 1) * stride
+                    block, pushed = push(
+                        planes, scratch, node, slot_end, x_end, origin, stiffness_of_contact, rods.slip[strand]
+                    )
                     d += block
                     g += pushed
                 b = c0 + c1 - edge_block
@@ -129,7 +135,7 @@ def newton_functions(real: type) -> SimpleNamespace:
                     tx[2], d[2, 0], d[2, 1], d[2, 2],
                 )  # fmt: skip
                 lower1 = mat44()
-                lower2 = mat44()
+                lower2 = mat43()
                 if k >= 2:
                     r = joint2.eb_ta
                     lower1 = mat44(
@@ -140,24 +146,24 @@ def newton_functions(real: type) -> SimpleNamespace:
                     )  # fmt: skip
                 if k >= 3:
                     q = joint2.ea_tb
-                    lower2 = mat44(
-                        zero, -q[0], -q[1], -q[2],
-                        zero, -c0[0, 0], -c0[0, 1], -c0[0, 2],
-                        zero, -c0[1, 0], -c0[1, 1], -c0[1, 2],
-                        zero, -c0[2, 0], -c0[2, 1], -c0[2, 2],
+                    lower2 = mat43(
+                        -q[0], -q[1], -q[2],
+                        -c0[0, 0], -c0[0, 1], -c0[0, 2],
+                        -c0[1, 0], -c0[1, 1], -c0[1, 2],
+                        -c0[2, 0], -c0[2, 1], -c0[2, 2],
                     )  # fmt: skip
-                    lower2 = divide(lower2, factor2)
-                    lower1 = lower1 - lower2 * wp.transpose(lower1_before)
-                    diagonal = diagonal - lower2 * wp.transpose(lower2)
+                    lower2 = divide_end(lower2, factor2)
+                    lower1 = subtract_product(lower1, lower2, lower1_before)
+                    diagonal = subtract_square_end(diagonal, lower2)
                 if k >= 2:
                     lower1 = divide(lower1, factor1)
-                    diagonal = diagonal - lower1 * wp.transpose(lower1)
+                    diagonal = subtract_square(diagonal, lower1)
                 factor, pivot = cholesky(diagonal)
                 if not (pivot > zero):
                     definite = False
                     break
                 right = vec4(-(joint2.gradient_tb + joint1.gradient_ta), -g[0], -g[1], -g[2])
-                y = forward(factor, right - lower1 * y1 - lower2 * y2)
+                y = forward(factor, right - lower1 * y1 - lower2 * vec3(y2[1], y2[2], y2[3]))
                 slot = base + k * stride
                 scratch.factor[slot] = factor
                 scratch.lower1[slot] = lower1
@@ -184,14 +190,15 @@ def newton_functions(real: type) -> SimpleNamespace:
         turn = real(0.0)
         z1 = vec4()  # of segment k + 1
         l1 = mat44()
-        l2 = mat44()
-        l2_after = mat44()
+        l2 = mat43()
+        l2_after = mat43()
         z2 = vec4()
         x_next = scratch.position[base + (count - 1) * stride]
         for i in range(count - 2):
             k = count - 2 - i
             slot = base + k * stride
-            y = scratch.solution[slot] - wp.transpose(l1) * z1 - wp.transpose(l2_after) * z2
+            end = wp.transpose(l2_after) * z2
+            y = scratch.solution[slot] - wp.transpose(l1) * z1 - vec4(real(0.0), end[0], end[1], end[2])
             z = backward(scratch.factor[slot], y)
             scratch.solution[slot] = z
             furthest = wp.max(furthest, z[1] * z[1] + z[2] * z[2] + z[3] * z[3])
@@ -217,8 +224,22 @@ def newton_functions(real: type) -> SimpleNamespace:
         return wp.sqrt(furthest), wp.sqrt(turn)
 
     @wp.func(module=module)
-    def advance(rods: Rods, scratch: Scratch, strand: int, base: int, stride: int, fraction: real):
-        """Takes `fraction` of the step: nodes, directors by parallel transport and turn, twist, dual tension."""
+    def advance(
+        rods: Rods,
+        scratch: Scratch,
+        planes: ContactPlanes,
+        constrained: bool,
+        origin: wp.vec3d,
+        strand: int,
+        base: int,
+        stride: int,
+        inertia: real,
+        fraction: real,
+    ):
+        """Takes `fraction` of the step: nodes, directors by parallel transport and turn, twist, forces.
+
+        Returns whether nodes have just gone under a plane, so that another step is needed.
+        """
         first = rods.first_node[strand]
         count = rods.first_node[strand + 1] - first
         ea = rods.stretch[strand]
@@ -229,6 +250,7 @@ def newton_functions(real: type) -> SimpleNamespace:
         t_before = wp.normalize(x_old - scratch.position[base])
         m_before = scratch.director[base]
         moved = vec3()
+        under = wp.bool(False)
         for k in range(1, count - 1):
             slot = base + k * stride
             z = scratch.solution[slot]
@@ -251,10 +273,18 @@ def newton_functions(real: type) -> SimpleNamespace:
             scratch.director[slot] = m
             scratch.position[slot + stride] = x_next_new
             scratch.twist[slot] = signed_twist(t_before, t_new, m_before, m, scratch.twist[slot])
+            if constrained:
+                node = first + k + 1
+                sank = judge(
+                    planes, scratch, node, slot + stride, x_next_old, x_next_new, origin,
+                    contact_stiffness(rods, strand, inertia), rods.slip[strand],
+                )  # fmt: skip
+                under = under or sank
             t_before = t_new
             m_before = m
             x_old = x_next_old
             x_new = x_next_new
             moved = step
+        return under
 
     return SimpleNamespace(eliminate=eliminate, substitute=substitute, advance=advance)

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from plait.solver.contact.planes import allocate_planes
+from plait.solver.contact.planes import PLANES_A_NODE, allocate_planes
+from plait.solver.contact.surfaces import SurfaceContact
 from plait.solver.diagnostics import Diverged
 from plait.solver.model import Interval, Model
 from plait.solver.state import State
@@ -20,8 +21,9 @@ from plait.solver.strands.types import rod_types
 CHUNKS_A_THREAD = 8
 # A strand that does not converge is stepped in halves, quarters, ... of its substep, down to this many parts.
 MAX_PIECES = 16
-# Friction acts as a spring on ways below this part of a radius.
+# Friction is full from ways of this part of a radius on.
 SLIP = 1.0e-2
+STATE_ARRAYS = ("position", "velocity", "director", "twist", "tension", "root_position", "root_rotation")
 
 
 def build(model: Model, state: State) -> StrandsStage | None:
@@ -51,6 +53,7 @@ class StrandsStage:
         self._place(state)
         self._allocate()
         self._method = self._make_method()
+        self._contact = self._make_contact(state)
         self._iterations: list[np.ndarray] = []
         self._unconverged = 0
         self._subdivided = 0
@@ -134,7 +137,7 @@ class StrandsStage:
         held.root_position = hold(root_position, wp.vec3d)
         held.root_rotation = hold(root_rotation, wp.mat33d)
         self._held = held
-        for name in ("position", "velocity", "director", "twist", "tension", "root_position", "root_rotation"):
+        for name in STATE_ARRAYS:
             state.arrays[f"strands/{name}"] = getattr(held, name)
 
     def _allocate(self) -> None:
@@ -158,16 +161,18 @@ class StrandsStage:
             setattr(scratch, name, wp.zeros(size, dtype=types.vec3, device=device))
         for name in ("twist", "tension"):
             setattr(scratch, name, wp.zeros(size, dtype=real, device=device))
-        for name in ("factor", "lower1", "lower2"):
+        scratch.pressure = wp.zeros(size * PLANES_A_NODE, dtype=real, device=device)
+        for name in ("factor", "lower1"):
             setattr(scratch, name, wp.zeros(size, dtype=types.mat44, device=device))
+        scratch.lower2 = wp.zeros(size, dtype=types.mat43, device=device)
         scratch.solution = wp.zeros(size, dtype=types.vec4, device=device)
         self._scratch = scratch
         report = types.Report()
         for name in ("iterations", "unconverged", "pieces", "contacts"):
             setattr(report, name, wp.zeros(strands, dtype=wp.int32, device=device))
         self._report = report
-        self._planes = allocate_planes(0, device)
-        self._active = wp.ones(strands, dtype=wp.int32, device=device)
+        self._no_planes = allocate_planes(0, device)
+        self._all = wp.ones(strands, dtype=wp.int32, device=device)
         self._measures = wp.zeros((strands, len(MEASURES)), dtype=wp.float64, device=device)
 
     def _make_method(self) -> Any:
@@ -179,29 +184,72 @@ class StrandsStage:
         method.max_pieces = MAX_PIECES
         return method
 
+    def _make_contact(self, state: State) -> SurfaceContact | None:
+        """Contact with the surfaces that collide, and room for a substep's result while it is tried."""
+        if self._kinematics.colliders is None:
+            return None
+        self._result = self._types.RodState()
+        for name in STATE_ARRAYS:
+            setattr(self._result, name, wp.zeros_like(getattr(self._held, name)))
+        self._flags = wp.zeros(self.layout.strand_count, dtype=wp.int32, device=self._launcher.device)
+        return SurfaceContact(
+            self._model,
+            state,
+            first_node=self.layout.first_node,
+            position=self._held.position,
+            radius=self.layout.radius,
+            friction=self.layout.friction,
+        )
+
     # -- stepping ------------------------------------------------------------------------------------------
 
     def begin_frame(self, state: State, frame: Interval) -> None:
         self._iterations.clear()
         self._unconverged = self._subdivided = 0
+        if self._contact is not None:
+            self._contact.begin_frame()
 
     def step(self, state: State, substep: Interval) -> None:
-        """One implicit substep of every strand."""
+        """One implicit substep of every strand; with surfaces in reach, solve and detection in turns."""
         self._method.step = substep.length
-        self._solve(self._method, self._held)
+        self._method.warm = 0
+        if self._contact is None or not self._contact.active:
+            self._solve(self._method, self._held, self._all, constrained=False)
+        else:
+            self._step_in_contact(substep.length)
         self._count()
 
-    def _solve(self, method: Any, out: Any) -> None:
+    def _step_in_contact(self, length: float) -> None:
+        """First without contact; then what broke a plane again with planes, from where it is, while any does."""
+        contact, held, result, flags = self._contact, self._held, self._result, self._flags
+        contact.begin_substep(length)
+        self._solve(self._method, result, self._all, constrained=False)
+        flags.fill_(1)
+        broken = contact.examine(held.position, result.position, flags)
+        self._method.warm = 1
+        for _ in range(self._model.settings.contact.passes):
+            if broken == 0:
+                break
+            self._solve(self._method, result, flags, constrained=True)
+            broken = contact.examine(held.position, result.position, flags)
+        contact.guard(held.position, result.position, flags)
+        if broken:
+            inputs = [flags, self.rods.first_node, result.position]
+            self._launcher.launch(
+                self._kernels.realign, self.layout.strand_count, inputs, [result.director, result.twist]
+            )
+        for name in STATE_ARRAYS:
+            wp.copy(getattr(held, name), getattr(result, name))
+
+    def _solve(self, method: Any, out: Any, active: wp.array, *, constrained: bool) -> None:
         roots = self._types.Roots()
         roots.position = self._kinematics.root_position
         roots.rotation = self._kinematics.root_rotation
         nodes_a_chunk = max(1, self.layout.node_count // self._chunks)
+        planes = self._contact.planes if constrained else self._no_planes
+        inputs = [self._chunks, active, constrained, planes, method, self.rods, self._held, roots, self._scratch]
         self._launcher.launch(
-            self._kernels.solve,
-            self._chunks,
-            [self._chunks, self._active, False, self._planes, method, self.rods, self._held, roots, self._scratch],
-            [out, self._report],
-            work_per_item=nodes_a_chunk,
+            self._kernels.solve, self._chunks, inputs, [out, self._report], work_per_item=nodes_a_chunk
         )
 
     def _count(self) -> None:
@@ -218,7 +266,7 @@ class StrandsStage:
         method = self._make_method()
         method.step, method.stages, method.max_pieces = 0.0, 1, 1
         method.tolerance, method.max_iterations = tolerance, max_iterations
-        self._solve(method, self._held)
+        self._solve(method, self._held, self._all, constrained=False)
         self._held.velocity.zero_()
         return np.where(self._report.unconverged.numpy() > 0, -1, 1) * self._report.iterations.numpy()
 
@@ -233,11 +281,13 @@ class StrandsStage:
             raise Diverged("position", self.layout.where(int(np.argmin(finite))), frame.end)
         iterations = np.concatenate(self._iterations) if self._iterations else np.zeros(1)
         total = dict(zip(MEASURES, values.sum(axis=0), strict=True))
-        return {
+        contacts = self._contact.end_frame(self._held.position) if self._contact is not None else {}
+        return contacts | {
             "iterations_mean": float(iterations.mean()),
             "iterations_max": int(iterations.max()),
             "unconverged": self._unconverged,
             "subdivided": self._subdivided,
+            "contacts": int(self._report.contacts.numpy().sum()),
             "strain_max": float(values[:, 0].max()),
             "strain_median": float(np.median(values[:, 0])),
             "kinetic_energy": float(total["kinetic"]),

@@ -28,6 +28,7 @@ def rod_types(real: type) -> SimpleNamespace:
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
     mat33 = wp.types.matrix((3, 3), real)
+    mat43 = wp.types.matrix((4, 3), real)
     mat44 = wp.types.matrix((4, 4), real)
 
     @structure
@@ -45,7 +46,7 @@ def rod_types(real: type) -> SimpleNamespace:
         rest_twist: wp.array(dtype=real)  # (node_count,) [rad]
         damping: wp.array(dtype=real)  # (strand_count,) [1/s]
         segment: wp.array(dtype=real)  # (strand_count,) [m] mean length
-        slip: wp.array(dtype=real)  # (strand_count,) [m] below it friction is a spring
+        slip: wp.array(dtype=real)  # (strand_count,) [m] least way at which friction is full
         ghost: wp.array(dtype=wp.vec3d)  # (strand_count,) [m] ghost node from the root, in the root's rest frame
         clamp_director: wp.array(dtype=wp.vec3d)  # (strand_count,) first edge's director, same frame
 
@@ -97,9 +98,10 @@ def rod_types(real: type) -> SimpleNamespace:
         director: wp.array(dtype=vec3)
         twist: wp.array(dtype=real)
         tension: wp.array(dtype=real)
+        pressure: wp.array(dtype=real)  # [N] of each of a node's planes, in the solve before
         factor: wp.array(dtype=mat44)  # diagonal block's factor
         lower1: wp.array(dtype=mat44)  # block towards the segment before
-        lower2: wp.array(dtype=mat44)  # block towards the one before that
+        lower2: wp.array(dtype=mat43)  # block towards the one before that, whose turn takes no part
         solution: wp.array(dtype=vec4)  # (angle, displacement) of segment k: its director, its end node
 
     @structure
@@ -118,6 +120,7 @@ def rod_types(real: type) -> SimpleNamespace:
         vec3=vec3,
         vec4=vec4,
         mat33=mat33,
+        mat43=mat43,
         mat44=mat44,
         Rods=Rods,
         RodState=RodState,
