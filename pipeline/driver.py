@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
 
 from plait.pipeline import checkpoint, provenance
 from plait.pipeline.config import Config
 from plait.pipeline.errors import EXIT_DONE, EXIT_STOPPED, InputError, PlaitError
 from plait.pipeline.frames import FrameRange, parse, sample_codes, schedule
 from plait.pipeline.metrics import Metrics
-from plait.pipeline.outputs import curve_frame
+from plait.pipeline.outputs import Outputs
 from plait.pipeline.progress import Progress, Quiet
 from plait.pipeline.read import read_shot
-from plait.pipeline.shot import CurveFrame, Shot
+from plait.pipeline.shot import Shot
 from plait.pipeline.stopping import StopRequest
 from plait.pipeline.write import CacheWriter
 from plait.solver.build import build
@@ -108,6 +107,7 @@ class _Run:
             return EXIT_DONE
         with self.writer:
             simulation = self._build()
+            self.outputs = Outputs(self.shot, simulation.model.parts["strands"])
             try:
                 return self._loop(simulation, self._resume(simulation), stop)
             finally:
@@ -136,7 +136,7 @@ class _Run:
             self.progress.frame(index + 1, len(self.legs), self._label(index))
             finished = self.writer.frames_done
             if leg.frame is not None:
-                self.writer.add(leg.code, self._capture(simulation))
+                self.writer.add(leg.code, self.outputs.frames(simulation.state.time))
             chunk_ended = self.writer.frames_done > finished
             if chunk_ended:
                 checkpoint.save(self.checkpoint_path, simulation.state, self.fingerprint, index + 1)
@@ -160,14 +160,6 @@ class _Run:
                 "try more substeps, or stiffer or thicker strands"
             ) from error
         self.metrics.add(index, leg.code, time.perf_counter() - started, figures)
-
-    def _capture(self, simulation: Simulation) -> tuple[CurveFrame, ...]:
-        stage: Any = simulation.model.parts["strands"]
-        now = simulation.state.time
-        return tuple(
-            curve_frame(output, stage.points(output.strands), stage.velocities(output.strands), now)
-            for output in self.shot.curves
-        )
 
     def _seconds(self, code: float) -> float:
         return code / self.shot.info.time_codes_per_second

@@ -2,16 +2,56 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from plait.pipeline.shot import CurveFrame, CurveOutput
+from plait.pipeline.normals import CarriedNormals
+from plait.pipeline.shot import CurveFrame, CurveOutput, Shot
 
 # Half the span of the central difference that gives a moving prim's own velocity [s].
 _DIFFERENCE = 1e-3
 
 
-def curve_frame(output: CurveOutput, points: np.ndarray, velocities: np.ndarray, time: float) -> CurveFrame:
+class Outputs:
+    """All prims' results, read from the strands' stage."""
+
+    def __init__(self, shot: Shot, stage: Any) -> None:
+        """stage: `StrandsStage`, just built: authored normals belong to the frames of that moment."""
+        self._outputs, self._stage = shot.curves, stage
+        self._normals = {
+            output.prim_path: CarriedNormals(
+                output.normals,
+                stage.points(output.strands),
+                stage.directors(output.strands),
+                stage.root_rotations(output.strands),
+                shot.scene.strands[output.strands].offsets,
+            )
+            for output in shot.curves
+            if output.normals is not None
+        }
+
+    def frames(self, time: float) -> tuple[CurveFrame, ...]:
+        """Every prim's sample, the strands being where they are at `time` [s]."""
+        return tuple(self._frame(output, time) for output in self._outputs)
+
+    def _frame(self, output: CurveOutput, time: float) -> CurveFrame:
+        points, velocities = self._stage.points(output.strands), self._stage.velocities(output.strands)
+        carried = self._normals.get(output.prim_path)
+        normals = None if carried is None else carried.at(points, self._stage.directors(output.strands))
+        return curve_frame(output, points, velocities, time, normals)
+
+
+def curve_frame(
+    output: CurveOutput,
+    points: np.ndarray,
+    velocities: np.ndarray,
+    time: float,
+    normals: np.ndarray | None = None,
+) -> CurveFrame:
     """One prim's result at `time` [s] from its strands' points and velocities, (n, 3) float64, scene world, SI.
+
+    normals: (m, 3) float64, scene world, if the prim has any.
 
     With x_local = M(t) x, the local velocity is M v + dM/dt x: what a renderer adds to points before applying the
     prim's own transform.
@@ -27,7 +67,14 @@ def curve_frame(output: CurveOutput, points: np.ndarray, velocities: np.ndarray,
         local.astype(np.float32),
         local_velocity.astype(np.float32),
         extent(local.astype(np.float32), output.widths),
+        None if normals is None else _local_normals(transform, normals),
     )
+
+
+def _local_normals(transform: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(m, 3) float32, unit: turned by the inverse transpose, so that they stay across what they are normal to."""
+    turned = normals @ np.linalg.inv(transform[:3, :3])
+    return (turned / np.linalg.norm(turned, axis=1, keepdims=True)).astype(np.float32)
 
 
 def extent(points: np.ndarray, widths: np.ndarray) -> np.ndarray:

@@ -26,6 +26,18 @@ class StageInfo:
 
 
 @dataclass(frozen=True)
+class Normals:
+    """Authored normals of curves, each carried by the segment that it is drawn at.
+
+    values: (n, 3) float64, as many as authored, unit, in the space of `Strands.points`.
+    segments: (n,) int64, the simulated point (of the prim's own) at which that segment begins.
+    """
+
+    values: np.ndarray
+    segments: np.ndarray
+
+
+@dataclass(frozen=True)
 class CurveOutput:
     """How one `Strands` of the scene goes back to its BasisCurves prim.
 
@@ -38,7 +50,7 @@ class CurveOutput:
         [stage units].
     widths: (authored point count,) float64 [stage units] as they apply to points, for `extent`.
     skinned: the prim has a UsdSkel binding, which the result must switch off.
-    has_normals: `normals` were authored and are to be refreshed.
+    normals: authored ones, which are to be refreshed; None for none, or none that can be.
     """
 
     prim_path: str
@@ -48,7 +60,7 @@ class CurveOutput:
     widths: np.ndarray
     rest_offset: np.ndarray | None = None
     skinned: bool = False
-    has_normals: bool = False
+    normals: Normals | None = None
 
 
 @dataclass(frozen=True)
@@ -89,7 +101,8 @@ class Shot:
 class CurveFrame:
     """One prim's result at one time sample, in the prim's own space and units.
 
-    points (n, 3) float32; velocities (n, 3) float32, per second; extent (2, 3) float32; normals or None.
+    points (n, 3) float32; velocities (n, 3) float32, per second; extent (2, 3) float32; normals (m, 3) float32,
+    as many as authored, or None.
     """
 
     prim_path: str

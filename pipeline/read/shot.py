@@ -13,6 +13,7 @@ from plait.pipeline.read import curves as drawn
 from plait.pipeline.read import parameters, roles, strands
 from plait.pipeline.read.extents import Neighbourhood
 from plait.pipeline.read.gravity import read_gravity
+from plait.pipeline.read.normals import read_normals
 from plait.pipeline.read.roles import Role
 from plait.pipeline.read.roots import Rooted, find_roots
 from plait.pipeline.read.skeletons import Skeletons
@@ -105,7 +106,8 @@ class _Reader:
             matrix = self.source.placed_at_start(holder)
             points = groom.curves.points @ matrix[:3, :3].T + matrix[:3, 3]
             low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
-        return np.round(0.5 * (low + high) * self.source.units.meters_per_unit)
+        # Adding zero makes no zero negative.
+        return np.round(0.5 * (low + high) * self.source.units.meters_per_unit) + 0.0
 
     def _strands(self, groom: _Groom, surfaces: list[Surface]) -> Strands:
         given = parameters.resolve(self.source, groom.role.prim, parameters.STRANDS, self.config)
@@ -116,7 +118,6 @@ class _Reader:
     def _output(self, groom: _Groom, index: int) -> CurveOutput:
         prim, curves = groom.role.prim, groom.curves
         widths = drawn.read_widths(self.source, curves)
-        normals = UsdGeom.PointBased(prim).GetNormalsAttr()
         return CurveOutput(
             prim_path=curves.path,
             strands=index,
@@ -124,7 +125,7 @@ class _Reader:
             world_to_local=strands.WorldToLocal(self.source, prim),
             widths=np.zeros(len(curves.points)) if widths is None else widths,
             skinned=self.skeletons.find(prim) is not None,
-            has_normals=bool(normals and normals.HasAuthoredValue()),
+            normals=read_normals(self.source, curves, groom.lines, groom.rooted),
         )
 
     # --- surfaces ---------------------------------------------------------------------------------------------

@@ -305,6 +305,18 @@ class StrandsStage:
         """(point_count, 3) float64 [m/s] at the same points."""
         return self._held.velocity.numpy()[self._nodes(prim)]
 
+    def directors(self, prim: int) -> np.ndarray:
+        """(point_count, 3) float64, unit, scene world: material axis 1 of the segment that begins at each point.
+
+        A tip begins none; its own is without meaning.
+        """
+        return self._held.director.numpy()[self._nodes(prim)]
+
+    def root_rotations(self, prim: int) -> np.ndarray:
+        """(strand_count, 3, 3) float64: the strands' rest space to scene world, at the roots."""
+        begin, end = self.layout.prim_strands[prim : prim + 2]
+        return self._held.root_rotation.numpy()[begin:end]
+
     def _nodes(self, prim: int) -> np.ndarray:
         layout: Layout = self.layout
         return layout.point_node[layout.prim_points[prim] : layout.prim_points[prim + 1]]

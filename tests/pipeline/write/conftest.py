@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
-from plait.pipeline.shot import CurveFrame, CurveOutput, Shot, StageInfo
+from plait.pipeline.shot import CurveFrame, CurveOutput, Normals, Shot, StageInfo
 from plait.pipeline.write import CacheWriter
 from plait.solver.scene import Scene
 
@@ -79,7 +79,7 @@ def shot_of(
                 lambda _: np.eye(4),
                 np.full(count, WIDTH),
                 skinned=name in skinned,
-                has_normals=has_normals,
+                normals=Normals(np.eye(3)[np.full(count, 2)], np.zeros(count, np.int64)) if has_normals else None,
             )
         )
     return Shot(info, Scene(), tuple(curves), ())
