@@ -15,7 +15,7 @@ from plait.pipeline.progress import Progress, Quiet
 from plait.pipeline.read import read_shot
 from plait.pipeline.shot import Shot
 from plait.pipeline.stopping import StopRequest
-from plait.pipeline.write import CacheWriter
+from plait.pipeline.write import CHECKPOINT, CacheWriter
 from plait.solver.build import build
 from plait.solver.diagnostics import Diverged, Refused
 from plait.solver.step import Simulation
@@ -95,7 +95,7 @@ class _Run:
             overwrite=overwrite,
             resume=resume,
         )
-        self.checkpoint_path = self.writer.folder / "checkpoint.npz"
+        self.checkpoint_path = self.writer.folder / CHECKPOINT
         self.metrics = Metrics(output.with_suffix(".metrics.json"), {"shot": str(shot.info.path), **made})
 
     def run(self, stop: StopRequest) -> int:
@@ -124,7 +124,12 @@ class _Run:
     def _resume(self, simulation: Simulation) -> int:
         if not self.resuming or not self.checkpoint_path.exists():
             return 0
+        fresh = simulation.state.to_numpy()
         done = checkpoint.load(self.checkpoint_path, simulation.state, self.fingerprint)
+        if sum(leg.last_of_frame for leg in self.legs[:done]) > self.writer.frames_done:
+            simulation.state.restore(fresh)
+            self.progress.log("chunks before the checkpoint are missing; simulating from the first frame")
+            return 0
         self.metrics.resume(done)
         self.progress.log("resuming", after=self._label(done - 1))
         return done

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd
 
+from plait.pipeline.cli import main
 from plait.pipeline.errors import UsageError
 from plait.pipeline.write import CacheWriter, cache_folder
 
@@ -152,6 +153,32 @@ def test_another_run_is_not_resumed(fabricated, shot, out, change, named):
     with pytest.raises(UsageError, match=named):
         writer_of(out, shot, resume=True, **change)
     assert everything(out, fabricated) == before
+
+
+@pytest.mark.parametrize("lost", ["chunk.0001.usdc", "chunk.0002.usdc"])
+def test_the_command_makes_lost_chunks_anew(fabricated, tmp_path, lost):
+    """A checkpoint that is ahead of the chunks is no place to go on from: all bits come back."""
+    path, out = fabricated.curve_source(tmp_path / "shot.usda"), tmp_path / "out.usda"
+    command = [
+        "sim",
+        str(path),
+        "-o",
+        str(out),
+        "-f",
+        "1:5",
+        "--chunk",
+        "2",
+        "--preroll",
+        "1",
+        "--progress",
+        "none",
+    ]
+    assert main(command) == 0
+    expected = {path.name: path.read_bytes() for path in cache_folder(out).glob("chunk.*")}
+    assert len(expected) == 3
+    (cache_folder(out) / lost).unlink()
+    assert main([*command, "--resume"]) == 0
+    assert {path.name: path.read_bytes() for path in cache_folder(out).glob("chunk.*")} == expected
 
 
 ENDLESS = """
