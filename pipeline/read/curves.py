@@ -81,6 +81,16 @@ def sizes(prim: Usd.Prim, source: Source) -> dict[str, int]:
     return {"strands": len(counts or []), "points": int(np.sum(counts)) if counts else 0}
 
 
+def topology_change(source: Source, prim: Usd.Prim) -> float | None:
+    """The first time code at which the counts differ from the first frame's; None if they never do."""
+    attribute = UsdGeom.Curves(prim).GetCurveVertexCountsAttr()
+    codes = attribute.GetTimeSamples()
+    if len(codes) < 2:
+        return None
+    counts = values.integers(source, attribute)
+    return next((c for c in codes if not np.array_equal(values.integers(source, attribute, c), counts)), None)
+
+
 def read_curves(source: Source, prim: Usd.Prim) -> Curves:
     """Raises InputError for counts that do not fit, values that are not finite, topology that changes."""
     curves = UsdGeom.BasisCurves(prim)
@@ -100,11 +110,11 @@ def read_curves(source: Source, prim: Usd.Prim) -> Curves:
         raise source.error(
             "is empty", prim, "points", "author points, deactivate the prim, or plait:role = 'none'"
         )
-    for code in counts_attribute.GetTimeSamples():
-        if not np.array_equal(values.integers(source, counts_attribute, code), counts):
-            raise source.error(
-                f"changes at time code {code:g}", prim, "curveVertexCounts", "the topology must not change"
-            )
+    change = topology_change(source, prim)
+    if change is not None:
+        raise source.error(
+            f"changes at time code {change:g}", prim, "curveVertexCounts", "the topology must not change"
+        )
     return Curves(prim, points, counts, points_attribute.ValueMightBeTimeVarying())
 
 

@@ -199,6 +199,9 @@ class _Assignment:
             )
             return Role(prim, SKIPPED, "no role", reason, authored=False)
         reason = hidden or curves.refusal(prim) or self._why_unwritable(prim)
+        change = None if reason else curves.topology_change(self._source, prim)
+        if change is not None:
+            reason = f"curveVertexCounts change at time code {change:g}"
         if reason:
             return Role(prim, SKIPPED, "no role", reason, authored=False)
         return Role(prim, "strands", f"{prim.GetTypeName()} in a shot without roles", authored=False)
