@@ -229,6 +229,20 @@ def test_shutter_samples_interpolate_across_files(fabricated, tmp_path):
     np.testing.assert_allclose(np.array(points.Get(2.5)), between, rtol=ROUNDING, atol=ROUNDING)
 
 
+@pytest.mark.parametrize("rate", [25.0, 30.0, 120.0])
+def test_any_rate(fabricated, tmp_path, rate):
+    """USD scales the times of layers whose rate is not the root's: all of a result's have the source's."""
+    path = fabricated.curve_source(tmp_path / "shot.usda")
+    Sdf.Layer.FindOrOpen(str(path)).timeCodesPerSecond = rate
+    Sdf.Layer.FindOrOpen(str(path)).Save()
+    shot = fabricated.shot_of(path)
+    opened = Usd.Stage.Open(str(fabricated.write(tmp_path / "out.usda", shot, fabricated.frames(1, 8))))
+    assert opened.GetTimeCodesPerSecond() == rate
+    for code in FRAMES:
+        found = fabricated.values(opened, "/World/hair", "points", code)
+        assert np.array_equal(found, fabricated.results(shot, float(code))[0].points)
+
+
 def test_frame_subset(fabricated, tmp_path):
     """1:9x2 writes every other frame; those between are interpolated."""
     shot = fabricated.shot_of(fabricated.curve_source(tmp_path / "shot.usda"))

@@ -91,7 +91,7 @@ def test_dropped_without_closing(fabricated, shot, whole, out):
     assert everything(out, fabricated) == whole
 
 
-@pytest.mark.parametrize("damage", ["truncated", "missing", "empty", "unlisted", "beyond"])
+@pytest.mark.parametrize("damage", ["truncated", "missing", "empty", "another", "unlisted", "beyond"])
 def test_damaged_files_are_written_again(fabricated, shot, whole, out, damage):
     """A chunk that is not whole, or a chunk whose listing was not reached, does not pass for finished."""
     with writer_of(out, shot) as writer:
@@ -104,6 +104,8 @@ def test_damaged_files_are_written_again(fabricated, shot, whole, out, damage):
         second.unlink()
     elif damage == "empty":
         second.write_bytes(b"")
+    elif damage == "another":
+        shutil.copy(second.with_name("chunk.0001.usdc"), second)
     elif damage == "unlisted":
         listing = cache_folder(out) / "overrides.usda"
         listing.write_text("#usda 1.0\n(\n    timeCodesPerSecond = 24\n)\n")
