@@ -13,12 +13,14 @@ class ContactPlanes:
     """Half-spaces in force for one substep, plane k of node i at i * PLANES_A_NODE + k; world frame.
 
     The node must satisfy normal . x >= offset at the substep's end; Coulomb friction acts on its tangential
-    distance from `anchor`, the place it would have if it stuck to the moving body.
+    distance from `anchor`, the place it would have if it stuck to the moving body. A part f of the substep before
+    its end, plane and anchor lie back by f `drift`.
     """
 
     normal: wp.array(dtype=wp.vec3d)  # unit, pointing out of the body; zero where there is no contact
     offset: wp.array(dtype=wp.float64)  # [m]
     anchor: wp.array(dtype=wp.vec3d)  # [m] the node's start position carried along by the surface
+    drift: wp.array(dtype=wp.vec3d)  # [m] how the body moves the node over the substep
     friction: wp.array(dtype=wp.float64)  # Coulomb coefficient
 
 
@@ -29,5 +31,6 @@ def allocate_planes(node_count: int, device: wp.Device) -> ContactPlanes:
     planes.normal = wp.zeros(count, dtype=wp.vec3d, device=device)
     planes.offset = wp.zeros(count, dtype=wp.float64, device=device)
     planes.anchor = wp.zeros(count, dtype=wp.vec3d, device=device)
+    planes.drift = wp.zeros(count, dtype=wp.vec3d, device=device)
     planes.friction = wp.zeros(count, dtype=wp.float64, device=device)
     return planes

@@ -326,6 +326,7 @@ def add_plane(
     node: int,
     body: int,
     contact: Contact,
+    start: wp.vec3d,
     end: wp.vec3d,
     friction: wp.float64,
     tolerance: wp.float64,
@@ -366,6 +367,7 @@ def add_plane(
     planes.normal[slot] = contact.normal
     planes.offset[slot] = offset
     planes.anchor[slot] = contact.anchor
+    planes.drift[slot] = contact.anchor - start
     planes.friction[slot] = friction
     plane_body[slot] = body
     return broken > tolerance
@@ -486,7 +488,7 @@ def find_planes(
                     if contact.found:
                         deepest = wp.max(deepest, contact.depth)
                         tolerance = TOLERANCE * (nodes.radius[i] + bodies.thickness[body])
-                        if add_plane(planes, plane_body, i, body, contact, end[i], friction, tolerance):
+                        if add_plane(planes, plane_body, i, body, contact, start[i], end[i], friction, tolerance):
                             flags[strand] = 1
                         share_room(planes, plane_body, i)
     depth_out[strand] = deepest

@@ -36,10 +36,14 @@ def contact_functions(real: type) -> SimpleNamespace:
         return real(stiffer) * (real(6.0) * rods.bend[root] / (length * length) + rods.mass[root + 1] * inertia)
 
     @wp.func(module=module)
-    def depth_under(planes: ContactPlanes, plane: int, x: vec3, origin: wp.vec3d):
-        """How far x, a position about `origin`, is under the plane [m]; negative above it and without one."""
+    def depth_under(planes: ContactPlanes, plane: int, x: vec3, origin: wp.vec3d, ahead: wp.float64):
+        """How far x, a position about `origin`, is under the plane [m]; negative above it and without one.
+
+        ahead: the part of the substep still to come.
+        """
         n = planes.normal[plane]
-        depth = real(planes.offset[plane] - wp.dot(n, origin)) - wp.dot(vec3(n), x)
+        offset = planes.offset[plane] - wp.dot(n, origin + ahead * planes.drift[plane])
+        depth = real(offset) - wp.dot(vec3(n), x)
         return wp.where(wp.dot(n, n) > wp.float64(0.5), depth, real(-1.0))
 
     @wp.func(module=module)
@@ -58,6 +62,7 @@ def contact_functions(real: type) -> SimpleNamespace:
         slot: int,
         x: vec3,
         origin: wp.vec3d,
+        ahead: wp.float64,
         stiffness: real,
         slip: real,
     ):
@@ -66,14 +71,14 @@ def contact_functions(real: type) -> SimpleNamespace:
         gradient = vec3()
         for i in range(PLANES_A_NODE):
             plane = node * PLANES_A_NODE + i
-            depth = depth_under(planes, plane, x, origin)
+            depth = depth_under(planes, plane, x, origin, ahead)
             if depth > real(0.0):
                 n = vec3(planes.normal[plane])
                 nn = wp.outer(n, n)
                 across = wp.identity(n=3, dtype=real) - nn
                 block += stiffness * nn
                 gradient -= (stiffness * depth) * n
-                way = across * (x - vec3(planes.anchor[plane] - origin))
+                way = across * (x - vec3(planes.anchor[plane] - ahead * planes.drift[plane] - origin))
                 force = real(planes.friction[plane]) * scratch.pressure[slot * PLANES_A_NODE + i]
                 spring = force / wp.max(wp.length(way), slip)
                 block += spring * across
@@ -89,18 +94,19 @@ def contact_functions(real: type) -> SimpleNamespace:
         before: vec3,
         x: vec3,
         origin: wp.vec3d,
+        ahead: wp.float64,
         stiffness: real,
         slip: real,
     ):
-        """Contact forces after a full step from `before` to x; whether the node has just gone under by `slip` [m]."""
+        """Contact forces after a full step from `before` to x; whether the node has just sunk by `slip` [m]."""
         under = wp.bool(False)
         for i in range(PLANES_A_NODE):
             plane = node * PLANES_A_NODE + i
             entry = slot * PLANES_A_NODE + i
-            depth = depth_under(planes, plane, x, origin)
+            depth = depth_under(planes, plane, x, origin, ahead)
             pressure = real(0.0)
             if depth > real(0.0):
-                if depth_under(planes, plane, before, origin) > real(0.0):
+                if depth_under(planes, plane, before, origin, ahead) > real(0.0):
                     pressure = stiffness * depth
                 elif depth > slip:
                     under = wp.bool(True)
@@ -112,7 +118,7 @@ def contact_functions(real: type) -> SimpleNamespace:
         """Whether a contact pushes the node at x [m], world."""
         found = wp.bool(False)
         for i in range(PLANES_A_NODE):
-            found = found or depth_under(planes, node * PLANES_A_NODE + i, vec3(), x) > real(0.0)
+            found = found or depth_under(planes, node * PLANES_A_NODE + i, vec3(), x, wp.float64(0.0)) > real(0.0)
         return found
 
     return SimpleNamespace(

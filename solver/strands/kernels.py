@@ -84,6 +84,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
         planes: ContactPlanes,
         constrained: bool,
         origin: wp.vec3d,
+        ahead: wp.float64,
         strand: int,
         base: int,
         stride: int,
@@ -103,15 +104,15 @@ def strand_kernels(real: type) -> SimpleNamespace:
         while iterations < method.max_iterations and not converged:
             iterations += 1
             definite = eliminate(
-                rods, scratch, planes, constrained, origin, strand, base, stride, inertia, real(1.0)
+                rods, scratch, planes, constrained, origin, ahead, strand, base, stride, inertia, real(1.0)
             )
             if not definite:
                 definite = eliminate(
-                    rods, scratch, planes, constrained, origin, strand, base, stride, inertia, real(0.5)
+                    rods, scratch, planes, constrained, origin, ahead, strand, base, stride, inertia, real(0.5)
                 )
             if not definite:
                 definite = eliminate(
-                    rods, scratch, planes, constrained, origin, strand, base, stride, inertia, real(0.0)
+                    rods, scratch, planes, constrained, origin, ahead, strand, base, stride, inertia, real(0.0)
                 )
             if not definite:
                 break
@@ -120,7 +121,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
             if turn > real(LARGEST_TURN):
                 fraction = real(LARGEST_TURN) / turn
             under = advance(
-                rods, scratch, planes, constrained, origin, strand, base, stride, inertia, fraction
+                rods, scratch, planes, constrained, origin, ahead, strand, base, stride, inertia, fraction
             )  # fmt: skip
             expected = furthest
             if fraction == real(1.0) and previous > furthest:
@@ -203,11 +204,13 @@ def strand_kernels(real: type) -> SimpleNamespace:
                 centre = (wp.float64(1.0) - wp.float64(piece) * part) * root_before
                 h = step
                 explicit_step = real(0.0)
+                ahead = wp.float64(1.0) - wp.float64(piece + 1) * part
                 if method.stages == 1:
                     carry(scratch, count, base, stride, turn, centre, shift)
                 else:
                     h = real(gamma) * step
                     if stage % 2 == 0:
+                        ahead += (wp.float64(1.0) - gamma) * part
                         carry(scratch, count, base, stride, part_of_rotation(turn, gamma), centre, gamma * shift)
                     else:
                         rest = wp.float64(1.0) - gamma
@@ -228,7 +231,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
                         vec3(shift), step,
                     )  # fmt: skip
                 done, within = converge(
-                    rods, scratch, method, planes, constrained, root, strand, base, stride, inertia
+                    rods, scratch, method, planes, constrained, root, ahead, strand, base, stride, inertia
                 )
                 iterations += done
                 converged = converged and within

@@ -40,6 +40,7 @@ def newton_functions(real: type) -> SimpleNamespace:
         planes: ContactPlanes,
         constrained: bool,
         origin: wp.vec3d,
+        ahead: wp.float64,
         strand: int,
         base: int,
         stride: int,
@@ -48,7 +49,8 @@ def newton_functions(real: type) -> SimpleNamespace:
     ):
         """Assembles and factors the strand's matrix, with the right-hand side taken along.
 
-        constrained: whether `planes` hold; `origin` is where positions in `scratch` are zero [m], world.
+        constrained: whether `planes` hold, where they are with the part `ahead` of the substep still to come;
+        origin: where positions in `scratch` are zero [m], world.
         inertia: [1/s2] times mass is the inertial stiffness.  beta: see `joint`.
         Returns whether every pivot was positive; the factor and the half-solved step are in `scratch`.
         """
@@ -122,7 +124,15 @@ def newton_functions(real: type) -> SimpleNamespace:
                 if constrained:
                     slot_end = base + (k + 1) * stride
                     block, pushed = push(
-                        planes, scratch, node, slot_end, x_end, origin, stiffness_of_contact, rods.slip[strand]
+                        planes,
+                        scratch,
+                        node,
+                        slot_end,
+                        x_end,
+                        origin,
+                        ahead,
+                        stiffness_of_contact,
+                        rods.slip[strand],
                     )
                     d += block
                     g += pushed
@@ -230,6 +240,7 @@ def newton_functions(real: type) -> SimpleNamespace:
         planes: ContactPlanes,
         constrained: bool,
         origin: wp.vec3d,
+        ahead: wp.float64,
         strand: int,
         base: int,
         stride: int,
@@ -276,7 +287,7 @@ def newton_functions(real: type) -> SimpleNamespace:
             if constrained:
                 node = first + k + 1
                 sank = judge(
-                    planes, scratch, node, slot + stride, x_next_old, x_next_new, origin,
+                    planes, scratch, node, slot + stride, x_next_old, x_next_new, origin, ahead,
                     contact_stiffness(rods, strand, inertia), rods.slip[strand],
                 )  # fmt: skip
                 under = under or sank
