@@ -233,8 +233,9 @@ def test_shutter_samples_interpolate_across_files(fabricated, tmp_path):
 def test_any_rate(fabricated, tmp_path, rate):
     """USD scales the times of layers whose rate is not the root's: all of a result's have the source's."""
     path = fabricated.curve_source(tmp_path / "shot.usda")
-    Sdf.Layer.FindOrOpen(str(path)).timeCodesPerSecond = rate
-    Sdf.Layer.FindOrOpen(str(path)).Save()
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    layer.timeCodesPerSecond = rate
+    layer.Save()
     shot = fabricated.shot_of(path)
     opened = Usd.Stage.Open(str(fabricated.write(tmp_path / "out.usda", shot, fabricated.frames(1, 8))))
     assert opened.GetTimeCodesPerSecond() == rate
