@@ -1,0 +1,90 @@
+"""The small shot against its reference cache, as `plait sim` and `plait compare` see them.
+
+Tolerance: machines differ by rounding (libm, fused multiply-add), float32 at the coarsest: 4e-8 m in a skinned
+point of this shot. The motion magnifies what its input is off by about twelve times, which
+`test_rounding_of_the_input_stays_below` watches, so 5e-7 m is what to expect, and 1e-5 m, 4e-5 of a strand's
+length, leaves room. A change of the physics is far above: see `test_a_change_is_seen`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom, Vt
+
+from plait.assets.small_scene import FOLDER, REFERENCE, SHOT, write
+from plait.pipeline import config, driver
+from plait.pipeline.compare import Comparison, compare
+from plait.pipeline.validate import validate, validator_findings
+
+TOLERANCE = 1e-5
+HAIR = "/World/Hair"
+
+
+def simulated(shot: Path, output: Path, *assignments: str) -> Path:
+    driver.simulate(shot, output, config.load(None, list(assignments)))
+    return output
+
+
+def largest(comparison: Comparison) -> float:
+    """[m] how far any point of the hair is from the reference."""
+    (hair,) = [prim for prim in comparison.prims if prim.path == HAIR]
+    assert len(hair.codes) == 24 and not hair.problems
+    return float(hair.largest.max())
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory) -> Path:
+    return simulated(FOLDER / SHOT, tmp_path_factory.mktemp("small") / "out.usda")
+
+
+def test_the_generator_writes_the_shot_that_ships(tmp_path):
+    assert write(tmp_path).read_bytes() == (FOLDER / SHOT).read_bytes()
+
+
+def test_same_as_the_reference(result):
+    """`python -m plait.assets.small_scene --reference` makes it anew after an intended change."""
+    comparison = compare(FOLDER / REFERENCE, result, TOLERANCE)
+    assert comparison.ok, comparison.lines()
+
+
+def test_shot_and_result_are_valid(result):
+    assert validator_findings(Usd.Stage.Open(str(FOLDER / SHOT))) == []
+    assert validate(result) == []
+    assert validate(FOLDER / REFERENCE) == []
+
+
+def test_the_strands_touch_the_ball(result):
+    """Else the reference would not watch contact: points come within twice their radius, 1 mm, of the ball."""
+    stage = Usd.Stage.Open(str(result))
+    ball = UsdGeom.Sphere(stage.GetPrimAtPath("/World/Ball"))
+    hair = UsdGeom.BasisCurves(stage.GetPrimAtPath(HAIR))
+    touching = 0
+    for code in range(1, 25):
+        centre = UsdGeom.XformCache(code).GetLocalToWorldTransform(ball.GetPrim()).ExtractTranslation()
+        distance = np.linalg.norm(np.array(hair.GetPointsAttr().Get(code)) - np.array(centre), axis=1)
+        touching += int(np.sum(distance - ball.GetRadiusAttr().Get() < 0.1))
+    assert touching > 10
+
+
+@pytest.mark.parametrize("change", ["parameters.damping=2.1", "parameters.friction=0.33", "solver.substeps=9"])
+def test_a_change_is_seen(tmp_path, change):
+    """So that the comparison can fail: five or ten percent of one parameter, one substep more."""
+    new = simulated(FOLDER / SHOT, tmp_path / "out.usda", change)
+    assert not compare(FOLDER / REFERENCE, new, TOLERANCE).ok
+
+
+def test_rounding_of_the_input_stays_below(result, tmp_path):
+    """Every point of the drawn hair moved by a rounding of float32: a tenth of the tolerance at most."""
+    shot = tmp_path / SHOT
+    shot.write_bytes((FOLDER / SHOT).read_bytes())
+    stage = Usd.Stage.Open(str(shot))
+    points = UsdGeom.BasisCurves(stage.GetPrimAtPath(HAIR)).GetPointsAttr()
+    drawn = np.array(points.Get(), np.float32)
+    sign = np.random.default_rng(1).choice([-np.inf, np.inf], drawn.shape).astype(np.float32)
+    points.Set(Vt.Vec3fArray.FromNumpy(np.nextafter(drawn, sign)))
+    stage.Save()
+    new = simulated(shot, tmp_path / "out.usda")
+    assert 0.0 < largest(compare(result, new, TOLERANCE)) < 0.1 * TOLERANCE
