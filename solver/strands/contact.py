@@ -98,7 +98,7 @@ def contact_functions(real: type) -> SimpleNamespace:
         stiffness: real,
         slip: real,
     ):
-        """Contact forces after a full step from `before` to x; whether the node has just sunk by `slip` [m]."""
+        """Contact forces after a full step from `before` to x; whether one is new, or the node just sank by `slip`."""
         under = wp.bool(False)
         for i in range(PLANES_A_NODE):
             plane = node * PLANES_A_NODE + i
@@ -108,6 +108,7 @@ def contact_functions(real: type) -> SimpleNamespace:
             if depth > real(0.0):
                 if depth_under(planes, plane, before, origin, ahead) > real(0.0):
                     pressure = stiffness * depth
+                    under = under or scratch.pressure[entry] == real(0.0)
                 elif depth > slip:
                     under = wp.bool(True)
             scratch.pressure[entry] = pressure
