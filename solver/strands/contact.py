@@ -98,7 +98,7 @@ def contact_functions(real: type) -> SimpleNamespace:
         stiffness: real,
         slip: real,
     ):
-        """Contact forces after a full step from `before` to x; whether one is new, or the node just sank by `slip`."""
+        """Contact forces after a full step from `before` to x; whether one is new or the node just sank."""
         under = wp.bool(False)
         for i in range(PLANES_A_NODE):
             plane = node * PLANES_A_NODE + i
