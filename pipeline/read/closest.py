@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 GROUP = 64
+LEAF = 4
 
 
 def closest_on_triangles(
@@ -13,8 +14,8 @@ def closest_on_triangles(
     """For each query the closest triangle, the barycentric place on it, and the distance.
 
     queries: (q, 3).  points: (p, 3).  triangles: (t, 3), one or more.
-    Returns (q,) int, (q, 3) and (q,). Queries are taken in groups that lie together; a triangle is looked at only
-    if the group's bounding sphere does not rule it out.
+    Returns (q,) int, (q, 3) and (q,). Queries are halved until a few lie together; on the way down, triangles that
+    the bounding sphere of the queries left rules out are dropped.
     """
     corners = points[triangles]
     centres = corners.mean(axis=1)
@@ -22,13 +23,18 @@ def closest_on_triangles(
     nearest = np.zeros(len(queries), dtype=np.int64)
     places = np.zeros((len(queries), 3))
     distances = np.zeros(len(queries))
-    for group in groups_of(queries):
+    todo = [(np.arange(len(queries)), np.arange(len(triangles)))] if len(queries) else []
+    while todo:
+        group, near = todo.pop()
         members = queries[group]
-        middle = members.mean(axis=0)
+        middle = 0.5 * (members.min(axis=0) + members.max(axis=0))
         reach = np.linalg.norm(members - middle, axis=1).max()
-        away = np.linalg.norm(centres - middle, axis=1)
+        away = np.linalg.norm(centres[near] - middle, axis=1)
         # Every member is within reach of the middle, the middle within min(away) of the surface.
-        near = np.nonzero(away - radii <= away.min() + 2.0 * reach)[0]
+        near = near[away - radii[near] <= away.min() + 2.0 * reach]
+        if len(group) > LEAF:
+            todo += [(half, near) for half in _halves(queries, group)]
+            continue
         place, squared = closest_on_each(members[:, None], corners[None, near])
         best = np.argmin(squared, axis=1)
         rows = np.arange(len(group))
@@ -44,12 +50,16 @@ def groups_of(queries: np.ndarray) -> list[np.ndarray]:
         group = todo.pop()
         if len(group) <= GROUP:
             done.append(group)
-            continue
-        members = queries[group]
-        order = np.argsort(members[:, np.argmax(np.ptp(members, axis=0))], kind="stable")
-        half = len(group) // 2
-        todo += [group[order[:half]], group[order[half:]]]
+        else:
+            todo += _halves(queries, group)
     return done
+
+
+def _halves(queries: np.ndarray, group: np.ndarray) -> list[np.ndarray]:
+    members = queries[group]
+    order = np.argsort(members[:, np.argmax(np.ptp(members, axis=0))], kind="stable")
+    half = len(group) // 2
+    return [group[order[:half]], group[order[half:]]]
 
 
 def closest_on_each(queries: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel, Vt
@@ -56,16 +57,16 @@ class Anchor:
         """(n, 3) [stage units] to (n, 3) [m]."""
         return points @ self.linear.T * self.meters_per_unit
 
-    def undo(self, matrices: np.ndarray) -> np.ndarray:
-        """(..., 4, 4) acting on metres in the prim's own axes, as they act on rest points."""
-        result = matrices.copy()
-        result[..., :3, :3] = matrices[..., :3, :3] @ np.linalg.inv(self.linear)
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """(4, 4), rest points [m] to the prim's own axes, still in metres."""
+        result = np.eye(4)
+        result[:3, :3] = np.linalg.inv(self.linear)
         return result
 
-    @property
-    def scale(self) -> float:
-        """Length of the rest points over length in the prim's own space, [m per stage unit]."""
-        return float(abs(np.linalg.det(self.linear)) ** (1.0 / 3.0)) * self.meters_per_unit
+    def undo(self, matrices: np.ndarray) -> np.ndarray:
+        """(..., 4, 4) acting on metres in the prim's own axes, as they act on rest points."""
+        return matrices @ self.inverse
 
 
 @dataclass
@@ -94,7 +95,7 @@ class SkeletonState:
         self.animation = query.GetAnimQuery()
         moving = bool(self.animation) and self.animation.JointTransformsMightBeTimeVarying()
         self.animated = moving or self.placement.animated
-        self._code, self._joints = None, np.zeros((0, 4, 4))
+        self._code, self._joints, self._still = None, np.zeros((0, 4, 4)), None
 
     def joints(self, code: float) -> np.ndarray:
         """(joint_count, 4, 4) float64: skinning transforms in skeleton space, column vectors, stage units."""
@@ -122,7 +123,12 @@ class SkeletonState:
         """(len(used), 4, 4): chosen joints in the world, acting on metres of skeleton space."""
         joints = self.joints(code)[used].copy()
         joints[:, :3, 3] *= self.source.units.meters_per_unit
-        return self.placement.metric(code) @ joints
+        return self._placed(code) @ joints
+
+    def _placed(self, code: float) -> np.ndarray:
+        if self.placement.animated or self._still is None:
+            self._still = self.placement.metric(code)
+        return self._still
 
 
 @dataclass
