@@ -7,7 +7,7 @@ from pathlib import Path
 
 from plait.pipeline import checkpoint, provenance
 from plait.pipeline.config import Config
-from plait.pipeline.errors import EXIT_DONE, EXIT_STOPPED, InputError, PlaitError
+from plait.pipeline.errors import EXIT_DONE, EXIT_STOPPED, InputError, PlaitError, UsageError
 from plait.pipeline.frames import FrameRange, parse, sample_codes, schedule
 from plait.pipeline.metrics import Metrics
 from plait.pipeline.outputs import Outputs
@@ -17,7 +17,7 @@ from plait.pipeline.shot import Shot
 from plait.pipeline.stopping import StopRequest
 from plait.pipeline.write import CHECKPOINT, CacheWriter
 from plait.solver.build import build
-from plait.solver.diagnostics import Diverged, Refused
+from plait.solver.diagnostics import Diverged, NoSuchDevice, Refused
 from plait.solver.step import Simulation
 
 
@@ -81,10 +81,9 @@ class _Run:
     ) -> None:
         self.shot, self.output, self.config, self.progress = shot, output, config, progress
         self.resuming = resume
-        solver = config.solver
-        self.begin, self.legs = schedule(frames, config.preroll, solver.substeps, config.output.shutter)
-        made = provenance.describe(config, solver.device, solver.threads)
-        self.fingerprint = provenance.fingerprint(config, repr(frames), shot.layers, solver.device, solver.threads)
+        self.begin, self.legs = schedule(frames, config.preroll, config.solver.substeps, config.output.shutter)
+        made = provenance.describe(config)
+        self.fingerprint = provenance.fingerprint(config, repr(frames), shot.layers)
         self.writer = CacheWriter(
             output,
             shot,
@@ -101,18 +100,18 @@ class _Run:
     def run(self, stop: StopRequest) -> int:
         """Everything from an empty or half-filled folder to the finished cache."""
         if not self.shot.scene.strands:
-            self.writer.close()
+            self.writer.open()
             name = self.shot.info.path.name
             self.progress.log(f"nothing to simulate in {name}; {self.output} shows it as it is")
             return EXIT_DONE
-        with self.writer:
-            simulation = self._build()
-            self.outputs = Outputs(self.shot, simulation.model.parts["strands"])
-            try:
+        simulation = self._build()
+        self.metrics.run["threads"] = simulation.model.launcher.threads
+        self.outputs = Outputs(self.shot, simulation.model.parts["strands"])
+        try:
+            with self.writer:
                 return self._loop(simulation, self._resume(simulation), stop)
-            finally:
-                simulation.close()
-                self.metrics.save()
+        finally:
+            simulation.close()
 
     def _build(self) -> Simulation:
         self.progress.phase("compiling")
@@ -120,6 +119,8 @@ class _Run:
             return build(self.shot.scene, self.config.solver, self._seconds(self.begin))
         except Refused as error:
             raise InputError(str(error), file=self.shot.info.path) from error
+        except NoSuchDevice as error:
+            raise UsageError(str(error)) from error
 
     def _resume(self, simulation: Simulation) -> int:
         if not self.resuming or not self.checkpoint_path.exists():
@@ -135,6 +136,12 @@ class _Run:
         return done
 
     def _loop(self, simulation: Simulation, done: int, stop: StopRequest) -> int:
+        try:
+            return self._legs(simulation, done, stop)
+        finally:
+            self.metrics.save()
+
+    def _legs(self, simulation: Simulation, done: int, stop: StopRequest) -> int:
         for index in range(done, len(self.legs)):
             leg = self.legs[index]
             self._advance(simulation, index)
@@ -142,11 +149,13 @@ class _Run:
             finished = self.writer.frames_done
             if leg.frame is not None:
                 self.writer.add(leg.code, self.outputs.frames(simulation.state.time))
-            chunk_ended = self.writer.frames_done > finished
-            if chunk_ended:
+            stopping = bool(stop) and index + 1 < len(self.legs)
+            if stopping:
+                self.writer.flush()
+            if stopping or self.writer.frames_done > finished:
                 checkpoint.save(self.checkpoint_path, simulation.state, self.fingerprint, index + 1)
                 self.metrics.save()
-            if stop and (chunk_ended or leg.frame is None) and index + 1 < len(self.legs):
+            if stopping:
                 self.progress.log("stopped by a signal; --resume goes on", after=self._label(index))
                 return EXIT_STOPPED
         self.progress.log("wrote", path=str(self.output), frames=self.writer.frames_done)

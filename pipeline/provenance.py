@@ -28,25 +28,28 @@ def versions() -> dict[str, str]:
 
 
 def config_hash(config: Config) -> str:
-    """Sixteen hex digits over every setting, in a fixed order."""
-    return hashlib.sha256(msgspec.json.encode(config, order="deterministic")).hexdigest()[:16]
+    """Sixteen hex digits over every setting that can change a result, in a fixed order.
+
+    The number of threads is none: strands are solved one by one, whoever does it.
+    """
+    solver = msgspec.structs.replace(config.solver, threads=0)
+    encoded = msgspec.json.encode(msgspec.structs.replace(config, solver=solver), order="deterministic")
+    return hashlib.sha256(encoded).hexdigest()[:16]
 
 
-def describe(config: Config, device: str, threads: int) -> dict[str, str | int]:
+def describe(config: Config) -> dict[str, str | int]:
     """What is written into the layer and the metrics. The solver draws no random numbers: its seed is 0."""
     return {
         **{f"version:{name}": text for name, text in versions().items()},
         "configuration": config_hash(config),
         "seed": 0,
-        "device": device,
-        "threads": threads,
+        "device": config.solver.device,
     }
 
 
-def fingerprint(config: Config, frames: str, layers: tuple[Path, ...], device: str, threads: int) -> str:
-    """Of all that decides a run's bits: inputs by content, settings, versions, device, threads."""
-    digest = hashlib.sha256()
-    digest.update(repr((describe(config, device, threads), frames)).encode())
+def fingerprint(config: Config, frames: str, layers: tuple[Path, ...]) -> str:
+    """Of all that decides a run's bits: inputs by content, settings, frames, versions, device."""
+    digest = hashlib.sha256(repr((describe(config), frames)).encode())
     for path in layers:
         digest.update(str(path).encode())
         with open(path, "rb") as handle:

@@ -62,7 +62,7 @@ class CacheWriter:
         overwrite: bool = False,
         resume: bool = False,
     ) -> None:
-        """Checks what can be checked, then writes a layer that shows the source until a chunk is done.
+        """Checks what can be checked; nothing is written before `open`, or entering the `with`.
 
         samples: time codes of each frame to write, in order; a frame has several when it has shutter samples.
         chunk: frames a file holds.  provenance: how the result is made, for customLayerData['plait'].
@@ -70,8 +70,9 @@ class CacheWriter:
         resume: go on after what an earlier run of the same kind finished; where there is none, start afresh.
 
         Raises UsageError for an output that exists (without `overwrite` or `resume`), that is of another run
-        (`resume`), cannot be written, or has no USD suffix; InputError for one that is a layer of the shot.
+        (`resume`) or has no USD suffix; InputError for one that is a layer of the shot.
         """
+        self._shot = shot
         self.top_layer = top_layer.absolute()
         self.folder = cache_folder(self.top_layer)
         self._rate = shot.info.time_codes_per_second
@@ -86,12 +87,16 @@ class CacheWriter:
         exists = self.top_layer.exists() or self.folder.exists()
         if exists and not (overwrite or resume):
             raise UsageError(f"{self.top_layer} exists; --overwrite replaces it, --resume goes on with it")
-        taken_up = resume and self.top_layer.exists() and self._take_up()
+        self._taken_up = resume and self.top_layer.exists() and self._take_up()
+
+    def open(self) -> CacheWriter:
+        """Writes a top layer that shows the source until a chunk is done. Raises UsageError where it cannot."""
         try:
-            self._lay_out(shot, taken_up)
+            self._lay_out(self._shot, self._taken_up)
         except (OSError, PlaitError) as error:
             reason = (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
             raise UsageError(f"-o {self.top_layer}: nothing can be written there: {reason}") from error
+        return self
 
     @property
     def frames_done(self) -> int:
@@ -129,7 +134,7 @@ class CacheWriter:
         self.flush()
 
     def __enter__(self) -> CacheWriter:
-        return self
+        return self.open()
 
     def __exit__(self, *_: object) -> None:
         self.close()

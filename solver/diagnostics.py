@@ -16,3 +16,7 @@ class Diverged(RuntimeError):  # noqa: N818 - reads as what happened
 
 class Refused(ValueError):  # noqa: N818
     """A scene the solver cannot take, naming the prim and what would mend it."""
+
+
+class NoSuchDevice(ValueError):  # noqa: N818
+    """A device that this machine does not have, naming those it has."""

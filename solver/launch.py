@@ -18,6 +18,7 @@ from typing import Any
 
 import warp as wp
 
+from plait.solver.diagnostics import NoSuchDevice
 from plait.solver.warp_start import start_warp
 
 MIN_ITEMS_A_THREAD = 32
@@ -26,12 +27,16 @@ MIN_ITEMS_A_THREAD = 32
 class Launcher:
     """Issues kernels on one device; the only place that calls `wp.launch`.
 
-    Attributes: `launches` and `seconds`, counters keyed by stage name.
+    Raises NoSuchDevice. Attributes: `launches` and `seconds`, counters keyed by stage name.
     """
 
     def __init__(self, device: str = "cpu", threads: int = 0) -> None:
         start_warp()
-        self.device = wp.get_device(device)
+        try:
+            self.device = wp.get_device(device)
+        except ValueError as error:
+            there = ", ".join(found.alias for found in wp.get_devices())
+            raise NoSuchDevice(f"device {device}: not on this machine, which has {there}") from error
         self.threads = (threads or os.cpu_count() or 1) if self.device.is_cpu else 1
         self.launches: Counter[str] = Counter()
         self.seconds: Counter[str] = Counter()

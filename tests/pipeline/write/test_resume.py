@@ -29,7 +29,7 @@ def shot(fabricated, tmp_path):
 
 
 def writer_of(out: Path, shot, *, samples=SAMPLES, chunk=4, made=MADE, resume=False) -> CacheWriter:
-    return CacheWriter(out, shot, samples=samples, chunk=chunk, provenance=made, resume=resume)
+    return CacheWriter(out, shot, samples=samples, chunk=chunk, provenance=made, resume=resume).open()
 
 
 def run(fabricated, writer: CacheWriter, shot, codes) -> None:

@@ -128,7 +128,7 @@ def test_before_the_first_chunk_the_source_shows(fabricated, tmp_path, shot):
     """Overrides that switch off skinning are of no use while there is nothing to show instead."""
     samples = fabricated.frames(1, 6)
     out = tmp_path / "out.usda"
-    writer = CacheWriter(out, shot, samples=samples, chunk=3, provenance=MADE)
+    writer = CacheWriter(out, shot, samples=samples, chunk=3, provenance=MADE).open()
     writer.add(1.0, fabricated.results(shot, 1.0))
     assert writer.frames_done == 0
     source = Usd.Stage.Open(str(shot.info.path))
@@ -219,7 +219,7 @@ def test_several_prims(fabricated, tmp_path):
 
 
 def begin(out: Path, shot, **how) -> CacheWriter:
-    return CacheWriter(out, shot, samples=[(1.0,), (2.0,)], chunk=3, provenance=MADE, **how)
+    return CacheWriter(out, shot, samples=[(1.0,), (2.0,)], chunk=3, provenance=MADE, **how).open()
 
 
 def test_an_existing_result_is_kept_unless_told(fabricated, tmp_path, shot):
