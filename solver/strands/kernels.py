@@ -103,17 +103,14 @@ def strand_kernels(real: type) -> SimpleNamespace:
         converged = wp.bool(False)
         while iterations < method.max_iterations and not converged:
             iterations += 1
-            definite = eliminate(
-                rods, scratch, planes, constrained, origin, ahead, strand, base, stride, inertia, real(1.0)
-            )
-            if not definite:
+            # The exact Hessian where it is definite, else half, else none of its geometric part.
+            definite = wp.bool(False)
+            beta = real(1.0)
+            while not definite and beta >= real(0.0):
                 definite = eliminate(
-                    rods, scratch, planes, constrained, origin, ahead, strand, base, stride, inertia, real(0.5)
+                    rods, scratch, planes, constrained, origin, ahead, strand, base, stride, inertia, beta
                 )
-            if not definite:
-                definite = eliminate(
-                    rods, scratch, planes, constrained, origin, ahead, strand, base, stride, inertia, real(0.0)
-                )
+                beta -= real(0.5)
             if not definite:
                 break
             furthest, turn = substitute(rods, scratch, strand, base, stride)
@@ -122,7 +119,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
                 fraction = real(LARGEST_TURN) / turn
             under = advance(
                 rods, scratch, planes, constrained, origin, ahead, strand, base, stride, inertia, fraction
-            )  # fmt: skip
+            )
             expected = furthest
             if fraction == real(1.0) and previous > furthest:
                 expected = wp.min(furthest, real(SAFETY) * furthest * (furthest / previous))
@@ -274,20 +271,19 @@ def strand_kernels(real: type) -> SimpleNamespace:
                 continue
             root = roots.position[strand]
             rotation = roots.rotation[strand]
-            pieces = wp.int32(1)
-            iterations, converged = march(
-                rods, state, scratch, method, planes, constrained, state_out, strand, base, stride, root, rotation,
-                1, method.max_pieces == 1,
-            )  # fmt: skip
+            pieces = wp.int32(0)
+            converged = wp.bool(False)
+            iterations = wp.int32(0)
+            if method.warm != 0:
+                iterations += report_out.iterations[strand]
             while not converged and pieces < method.max_pieces:
-                pieces *= 2
-                more, converged = march(
+                pieces = wp.max(1, 2 * pieces)
+                more, within = march(
                     rods, state, scratch, method, planes, constrained, state_out, strand, base, stride, root,
                     rotation, pieces, pieces >= method.max_pieces,
                 )  # fmt: skip
                 iterations += more
-            if method.warm != 0:
-                iterations += report_out.iterations[strand]
+                converged = within
             report_out.iterations[strand] = iterations
             report_out.pieces[strand] = pieces
             report_out.unconverged[strand] = wp.where(converged, 0, 1)

@@ -49,6 +49,18 @@ class Layout:
     sagfree: np.ndarray
 
     @property
+    def mean_segment(self) -> np.ndarray:
+        """(strand_count,) [m] mean length of a strand's edges, the ghost's apart."""
+        ghosts = self.first_node[:-1]
+        # A strand's slots hold the ghost's edge, its own edges, and a one for the unused slot.
+        length = np.add.reduceat(self.edge_length, ghosts) - self.edge_length[ghosts] - 1.0
+        return length / (np.diff(self.first_node) - 2)
+
+    def rest_length(self, tension: np.ndarray) -> np.ndarray:
+        """(node_count,) [m] of edges that have the drawn length under `tension` [N]."""
+        return self.edge_length / (1.0 + tension / self.stretch[self.node_strand])
+
+    @property
     def strand_count(self) -> int:
         return len(self.first_node) - 1
 

@@ -10,14 +10,18 @@ three unknowns a vertex, solved from the free tip to the root: with F the sum of
 
 import warp as wp
 
+from plait.solver.contact.planes import ContactPlanes
 from plait.solver.strands.energy import joint_functions
-from plait.solver.strands.types import LEAST_FOLD, module_name, rod_types
+from plait.solver.strands.newton import newton_functions
+from plait.solver.strands.types import LEAST_FOLD, rod_types
 
 REAL = wp.float64
-MODULE = module_name(REAL)
-vec2 = rod_types(REAL).vec2
-_functions = joint_functions(REAL)
+MODULE = "plait_strands_rest"  # apart, so that a float32 run does not compile the float64 solve
+_types, _functions = rod_types(REAL), joint_functions(REAL)
+vec2, vec3 = _types.vec2, _types.vec3
+Rods, Scratch = _types.Rods, _types.Scratch
 joint, transport = _functions.joint, _functions.transport
+eliminate = newton_functions(REAL).eliminate
 
 
 @wp.kernel(enable_backward=False, module=MODULE)
@@ -128,3 +132,37 @@ def sagfree_rest(
         )  # fmt: skip
         gradient_ea = balanced.gradient_ea
         gradient_ta = balanced.gradient_ta
+
+
+@wp.kernel(enable_backward=False, module=MODULE)
+def find_stable(
+    first: int,
+    strands: wp.array(dtype=wp.int32),  # those to judge
+    chunk_count: int,
+    rods: Rods,
+    no_planes: ContactPlanes,
+    scratch: Scratch,
+    position: wp.array(dtype=wp.vec3d),
+    director: wp.array(dtype=wp.vec3d),
+    tension: wp.array(dtype=REAL),
+    stable_out: wp.array(dtype=wp.int32),  # by the place in `strands`
+):
+    """Whether the drawn shape is a minimum of the energy: whether its exact static Hessian is definite."""
+    chunk = first + wp.tid()
+    base = chunk * scratch.chunk_stride
+    stride = scratch.node_stride
+    zero = REAL(0.0)
+    for i in range(chunk, strands.shape[0], chunk_count):
+        strand = strands[i]
+        begin = rods.first_node[strand]
+        for node in range(begin, rods.first_node[strand + 1]):
+            slot = base + (node - begin) * stride
+            scratch.position[slot] = position[node] - position[begin + 1]
+            scratch.target[slot] = vec3()
+            scratch.director[slot] = director[node]
+            scratch.twist[slot] = zero
+            scratch.tension[slot] = tension[node]
+        definite = eliminate(
+            rods, scratch, no_planes, False, wp.vec3d(), zero, strand, base, stride, zero, REAL(1.0)
+        )
+        stable_out[i] = wp.where(definite, 1, 0)

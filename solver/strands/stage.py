@@ -7,18 +7,17 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from plait.solver.contact.planes import PLANES_A_NODE, allocate_planes
+from plait.solver.contact.planes import allocate_planes
 from plait.solver.contact.surfaces import SurfaceContact
 from plait.solver.diagnostics import Diverged
 from plait.solver.model import Interval, Model
 from plait.solver.state import State
-from plait.solver.strands import rest
 from plait.solver.strands.kernels import strand_kernels
 from plait.solver.strands.layout import Layout, build_layout
+from plait.solver.strands.rest_shape import fit_rest_shapes
+from plait.solver.strands.scratch import allocate_scratch, count_chunks
 from plait.solver.strands.types import rod_types
 
-# Chunks of strands a thread works through, one strand's scratch each: a few, so that threads end together.
-CHUNKS_A_THREAD = 8
 # A strand that does not converge is stepped in halves, quarters, ... of its substep, down to this many parts.
 MAX_PIECES = 16
 # Friction is full from ways of this part of a radius on.
@@ -38,6 +37,8 @@ class StrandsStage:
 
     State arrays (see `RodState`): strands/position, velocity, director, twist, tension, root_position,
     root_rotation.
+
+    warnings: lines for the user about what could not be taken as given.
     """
 
     name = "strands"
@@ -61,112 +62,69 @@ class StrandsStage:
     # -- building ------------------------------------------------------------------------------------------
 
     def _place(self, state: State) -> None:
-        """Rest shape and constants; the drawn shape carried rigidly to where its root is now."""
+        """Constants; the drawn shape carried rigidly to where its root is now."""
         layout, device, launcher = self.layout, self._launcher.device, self._launcher
-        strand = layout.node_strand
-        count = layout.node_count
-        first_node = wp.array(layout.first_node, dtype=wp.int32, device=device)
-        position = wp.array(layout.position, dtype=wp.vec3d, device=device)
-        director = wp.zeros(count, dtype=wp.vec3d, device=device)
-        curvature = wp.zeros(count, dtype=rest.vec2, device=device)
-        rest_twist = wp.zeros(count, dtype=wp.float64, device=device)
-        tension = wp.zeros(count, dtype=wp.float64, device=device)
-        bend = layout.bend[strand] / layout.voronoi
-        twist = layout.twist[strand] / layout.voronoi
-        strand_count = layout.strand_count
-        launcher.launch(rest.transport_frames, strand_count, [first_node, position], [director])
-        launcher.launch(rest.authored_rest, strand_count, [first_node, position, director], [curvature])
-        sagfree = np.flatnonzero(layout.sagfree).astype(np.int32)
-        if len(sagfree):
-            force = np.einsum("nij,ni->nj", layout.rest_rotation[strand], layout.force)
-            launcher.launch(
-                rest.sagfree_rest,
-                len(sagfree),
-                [
-                    wp.array(sagfree, dtype=wp.int32, device=device),
-                    first_node,
-                    position,
-                    director,
-                    wp.array(force, dtype=wp.vec3d, device=device),
-                    wp.array(bend, dtype=wp.float64, device=device),
-                    wp.array(twist, dtype=wp.float64, device=device),
-                ],
-                [curvature, rest_twist, tension],
-            )
-        strain = tension.numpy() / layout.stretch[strand]
-        root_nodes = layout.first_node[:-1] + 1
-
+        shape = fit_rest_shapes(layout, launcher)
+        self._note_stiffening(shape.stiffening)
+        strand, ghosts, root_nodes = layout.node_strand, layout.first_node[:-1], layout.first_node[:-1] + 1
         real, types = self.real, self._types
-        rods = types.Rods()
-        rods.first_node = first_node
 
         def hold(values: np.ndarray, dtype: Any = real) -> wp.array:
             return wp.array(values, dtype=dtype, device=device)
 
+        rods = types.Rods()
+        rods.first_node = hold(layout.first_node, wp.int32)
         rods.mass = hold(layout.mass)
         rods.force = hold(layout.force, types.vec3)
-        rods.rest_length = hold(layout.edge_length / (1.0 + strain))
+        rods.rest_length = hold(layout.rest_length(shape.tension))
         rods.stretch = hold(layout.stretch)
-        rods.bend = hold(bend)
-        rods.twist = hold(twist)
-        rods.rest_curvature = hold(curvature.numpy(), types.vec2)
-        rods.rest_twist = hold(rest_twist.numpy())
+        rods.bend = hold((shape.stiffening * layout.bend)[strand] / layout.voronoi)
+        rods.twist = hold((shape.stiffening * layout.twist)[strand] / layout.voronoi)
+        rods.rest_curvature = hold(shape.curvature, types.vec2)
+        rods.rest_twist = hold(shape.twist)
         rods.damping = hold(layout.damping)
-        segments = np.diff(layout.first_node) - 2
-        length = np.add.reduceat(layout.edge_length, layout.first_node[:-1])
-        length -= layout.edge_length[layout.first_node[:-1]] + 1.0  # the ghost's edge and the unused slot
-        rods.segment = hold(length / segments)
+        rods.segment = hold(layout.mean_segment)
         rods.slip = hold(SLIP * layout.radius[root_nodes])
-        ghosts = layout.first_node[:-1]
         rods.ghost = hold(layout.position[ghosts] - layout.position[root_nodes], wp.vec3d)
-        director_rest = director.numpy()
-        rods.clamp_director = hold(director_rest[ghosts], wp.vec3d)
+        rods.clamp_director = hold(shape.director[ghosts], wp.vec3d)
         self.rods = rods
 
         root_position = self._kinematics.root_position.numpy()
         root_rotation = self._kinematics.root_rotation.numpy()
-        held = types.RodState()
         rotation = root_rotation[strand]
         relative = layout.position - layout.position[root_nodes][strand]
-        world = np.einsum("nij,nj->ni", rotation, relative) + root_position[strand]
-        held.position = hold(world, wp.vec3d)
-        held.velocity = wp.zeros(count, dtype=wp.vec3d, device=device)
-        held.director = hold(np.einsum("nij,nj->ni", rotation, director_rest), wp.vec3d)
-        held.twist = wp.zeros(count, dtype=wp.float64, device=device)
-        held.tension = hold(tension.numpy(), wp.float64)
+        held = types.RodState()
+        held.position = hold(np.einsum("nij,nj->ni", rotation, relative) + root_position[strand], wp.vec3d)
+        held.velocity = wp.zeros(layout.node_count, dtype=wp.vec3d, device=device)
+        held.director = hold(np.einsum("nij,nj->ni", rotation, shape.director), wp.vec3d)
+        held.twist = wp.zeros(layout.node_count, dtype=wp.float64, device=device)
+        held.tension = hold(shape.tension, wp.float64)
         held.root_position = hold(root_position, wp.vec3d)
         held.root_rotation = hold(root_rotation, wp.mat33d)
         self._held = held
         for name in STATE_ARRAYS:
             state.arrays[f"strands/{name}"] = getattr(held, name)
 
+    def _note_stiffening(self, stiffening: np.ndarray) -> None:
+        """A warning a prim whose strands are too soft to stay as drawn."""
+        layout, warnings = self.layout, []
+        for prim, name in enumerate(layout.names):
+            factors = stiffening[layout.prim_strands[prim] : layout.prim_strands[prim + 1]]
+            soft = int((factors > 1.0).sum())
+            if soft:
+                warnings.append(
+                    f"{name}: {soft} of {len(factors)} strands are too soft to stay as drawn under gravity, "
+                    f"whatever their rest shape; they are made up to {factors.max():.3g} times as stiff to bend "
+                    "and twist"
+                )
+        self.warnings = tuple(warnings)
+        self._stiffened = int((stiffening > 1.0).sum())
+
     def _allocate(self) -> None:
-        device, types, real = self._launcher.device, self._types, self.real
+        device, types = self._launcher.device, self._types
         strands = self.layout.strand_count
-        longest = int(np.diff(self.layout.first_node).max())
-        self._chunks = strands if device.is_cuda else min(strands, CHUNKS_A_THREAD * self._launcher.threads)
-        scratch = types.Scratch()
-        # On a GPU, neighbouring threads read neighbouring entries; on a CPU a strand is one run.
-        scratch.chunk_stride, scratch.node_stride = (1, self._chunks) if device.is_cuda else (longest, 1)
-        size = longest * self._chunks
-        for name in (
-            "start",
-            "start_velocity",
-            "stage_velocity",
-            "start_of_stage",
-            "target",
-            "position",
-            "director",
-        ):
-            setattr(scratch, name, wp.zeros(size, dtype=types.vec3, device=device))
-        for name in ("twist", "tension"):
-            setattr(scratch, name, wp.zeros(size, dtype=real, device=device))
-        scratch.pressure = wp.zeros(size * PLANES_A_NODE, dtype=real, device=device)
-        for name in ("factor", "lower1"):
-            setattr(scratch, name, wp.zeros(size, dtype=types.mat44, device=device))
-        scratch.lower2 = wp.zeros(size, dtype=types.mat43, device=device)
-        scratch.solution = wp.zeros(size, dtype=types.vec4, device=device)
-        self._scratch = scratch
+        self._chunks = count_chunks(strands, self._launcher)
+        self._scratch = allocate_scratch(self.real, self.layout, self._chunks, device)
         report = types.Report()
         for name in ("iterations", "unconverged", "pieces", "contacts"):
             setattr(report, name, wp.zeros(strands, dtype=wp.int32, device=device))
@@ -287,6 +245,7 @@ class StrandsStage:
             "iterations_max": int(iterations.max()),
             "unconverged": self._unconverged,
             "subdivided": self._subdivided,
+            "stiffened": self._stiffened,
             "contacts": int(self._report.contacts.numpy().sum()),
             "strain_max": float(values[:, 0].max()),
             "strain_median": float(np.median(values[:, 0])),

@@ -1,0 +1,43 @@
+"""Room for the solve's working sets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from plait.solver.contact.planes import PLANES_A_NODE
+from plait.solver.launch import Launcher
+from plait.solver.strands.layout import Layout
+from plait.solver.strands.types import rod_types
+
+# Chunks of strands a thread works through, one strand's scratch each: a few, so that threads end together.
+CHUNKS_A_THREAD = 8
+
+
+def count_chunks(strand_count: int, launcher: Launcher) -> int:
+    """Into how many chunks to divide so many strands: one a thread on a GPU, a few a thread on a CPU."""
+    return strand_count if launcher.device.is_cuda else min(strand_count, CHUNKS_A_THREAD * launcher.threads)
+
+
+def allocate_scratch(real: type, layout: Layout, chunks: int, device: wp.Device) -> Any:
+    """`Scratch` for `chunks` strands at a time, each as long as the longest."""
+    types = rod_types(real)
+    longest = int((layout.first_node[1:] - layout.first_node[:-1]).max())
+    scratch = types.Scratch()
+    # On a GPU, neighbouring threads read neighbouring entries; on a CPU a strand is one run.
+    scratch.chunk_stride, scratch.node_stride = (1, chunks) if device.is_cuda else (longest, 1)
+    size = longest * chunks
+    vectors = ("start", "start_velocity", "stage_velocity", "start_of_stage", "target", "position", "director")
+    fields = {
+        types.vec3: vectors,
+        real: ("twist", "tension"),
+        types.mat44: ("factor", "lower1"),
+        types.mat43: ("lower2",),
+        types.vec4: ("solution",),
+    }
+    for dtype, names in fields.items():
+        for name in names:
+            setattr(scratch, name, wp.zeros(size, dtype=dtype, device=device))
+    scratch.pressure = wp.zeros(size * PLANES_A_NODE, dtype=real, device=device)
+    return scratch
