@@ -82,8 +82,8 @@ class _Run:
         self.shot, self.output, self.config, self.progress = shot, output, config, progress
         self.resuming = resume
         self.begin, self.legs = schedule(frames, config.preroll, config.solver.substeps, config.output.shutter)
-        made = provenance.describe(config)
         self.fingerprint = provenance.fingerprint(config, repr(frames), shot.layers)
+        made = {**provenance.describe(config), "run": self.fingerprint}
         self.writer = CacheWriter(
             output,
             shot,

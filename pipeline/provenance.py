@@ -51,7 +51,7 @@ def fingerprint(config: Config, frames: str, layers: tuple[Path, ...]) -> str:
     """Of all that decides a run's bits: inputs by content, settings, frames, versions, device."""
     digest = hashlib.sha256(repr((describe(config), frames)).encode())
     for path in layers:
-        digest.update(str(path).encode())
+        digest.update(path.name.encode())
         with open(path, "rb") as handle:
             digest.update(hashlib.file_digest(handle, "sha256").digest())
     return digest.hexdigest()

@@ -10,7 +10,7 @@ from pxr import Tf, Usd, UsdGeom, UsdUtils
 
 from plait.pipeline.config import Config
 from plait.pipeline.read import curves as drawn
-from plait.pipeline.read import parameters, roles, strands
+from plait.pipeline.read import bezier, parameters, roles, strands
 from plait.pipeline.read.extents import Neighbourhood
 from plait.pipeline.read.gravity import read_gravity
 from plait.pipeline.read.normals import read_normals
@@ -39,7 +39,7 @@ def read_shot(path: Path, config: Config, frames: tuple[float, float] | None = N
         raise source.error(f"USD cannot evaluate it: {error}", mend="check it with usdchecker") from error
     for diagnostic in diagnostics.TakeUncoalescedDiagnostics():
         source.warn(" ".join(diagnostic.commentary.split()))
-    return replace(shot, warnings=tuple(source.warnings))
+    return replace(shot, warnings=tuple(source.warnings), layers=source.layers)
 
 
 @dataclass
@@ -124,6 +124,7 @@ class _Reader:
             point_map=groom.lines.point_map,
             world_to_local=strands.WorldToLocal(self.source, prim),
             widths=np.zeros(len(curves.points)) if widths is None else widths,
+            stencil=bezier.stencil(curves.counts, groom.lines.point_map) if drawn.is_bezier(prim) else None,
             skinned=self.skeletons.find(prim) is not None,
             normals=read_normals(self.source, curves, groom.lines, groom.rooted),
         )

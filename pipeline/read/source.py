@@ -42,6 +42,12 @@ class Source:
         self.start = self.info.start
         self._transforms = UsdGeom.XformCache(self.start)
 
+    @property
+    def layers(self) -> tuple[Path, ...]:
+        """Every file the shot is composed of, sorted."""
+        paths = {layer.realPath for layer in self.stage.GetUsedLayers(includeClipLayers=True)}
+        return tuple(sorted(Path(path) for path in paths if path and Path(path).is_file()))
+
     # --- saying what is wrong ---------------------------------------------------------------------------------
 
     def error(self, problem: str, prim: Usd.Prim | str = "", attribute: str = "", mend: str = "") -> InputError:
