@@ -59,7 +59,7 @@ def curve_frame(
     transform = output.world_to_local(time)
     later, earlier = output.world_to_local(time + _DIFFERENCE), output.world_to_local(time - _DIFFERENCE)
     change = (later - earlier) / (2.0 * _DIFFERENCE)
-    world, moving = points[output.point_map], velocities[output.point_map]
+    world, moving = output.drawn(points), output.drawn(velocities)
     local = world @ transform[:3, :3].T + transform[:3, 3]
     local_velocity = moving @ transform[:3, :3].T + world @ change[:3, :3].T + change[:3, 3]
     return CurveFrame(

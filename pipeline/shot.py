@@ -38,14 +38,25 @@ class Normals:
 
 
 @dataclass(frozen=True)
+class Stencil:
+    """Each authored point as a weighted sum of simulated points.
+
+    points: (authored point count, 4) int32.  weights: (authored point count, 4) float64, rows sum to one.
+    """
+
+    points: np.ndarray
+    weights: np.ndarray
+
+
+@dataclass(frozen=True)
 class CurveOutput:
     """How one `Strands` of the scene goes back to its BasisCurves prim.
 
     strands: index into `Scene.strands`.
     point_map: (authored point count,) int32: the simulated point that each authored point takes its place from;
         authored points that were collapsed (repeated ends) share one.
-    rest_offset: (authored point count, 3) float64 [m] or None: kept distance of an authored point from its
-        simulated point, in the simulated point's frame, where the two are not the same place.
+    stencil: how authored points follow from several simulated ones, where they are not points of the curve
+        (Bezier handles); None where `point_map` says all.
     world_to_local: time [s] -> (4, 4) float64, column vectors, from scene world [m] to the prim's own space
         [stage units].
     widths: (authored point count,) float64 [stage units] as they apply to points, for `extent`.
@@ -58,9 +69,15 @@ class CurveOutput:
     point_map: np.ndarray
     world_to_local: Callable[[float], np.ndarray]
     widths: np.ndarray
-    rest_offset: np.ndarray | None = None
+    stencil: Stencil | None = None
     skinned: bool = False
     normals: Normals | None = None
+
+    def drawn(self, simulated: np.ndarray) -> np.ndarray:
+        """(authored point count, 3), points or velocities, from those of the prim's simulated points (n, 3)."""
+        if self.stencil is None:
+            return simulated[self.point_map]
+        return np.einsum("ns,nsd->nd", self.stencil.weights, simulated[self.stencil.points])
 
 
 @dataclass(frozen=True)

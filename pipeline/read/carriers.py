@@ -96,8 +96,8 @@ def skinned_to_rest(source: Source, binding: SkeletonBinding, anchor: Anchor) ->
 
 def _root_triangles(curves: Curves, lines: Polylines) -> np.ndarray:
     """(3 strand_count, 3) [stage units]: root, and two corners a first segment away across the strand."""
-    roots = curves.points[lines.roots]
-    along = curves.points[lines.source_points[lines.offsets[:-1] + 1]] - roots
+    roots = curves.nodes[lines.roots]
+    along = curves.nodes[lines.source_points[lines.offsets[:-1] + 1]] - roots
     length = np.linalg.norm(along, axis=1, keepdims=True)
     stub = length[:, 0] == 0.0
     length[stub] = np.median(length[~stub])

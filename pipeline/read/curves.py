@@ -1,7 +1,8 @@
 """BasisCurves: what is drawn, and the polylines that are simulated for it.
 
-Cubic curves are simulated by their control polygon: rods run through the control points, which then are the result
-as they stand, whatever basis draws the curve from them.
+Rods run through the control points, which then are the result as they stand: they lie on linear and Catmull-Rom
+curves, and a b-spline smooths its own polygon, whatever shape that takes. Only Bezier handles are replaced by points
+of the curve (see `bezier`).
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from plait.pipeline.read import values
+from plait.pipeline.read import bezier, values
 from plait.pipeline.read.source import Source
 
 # A segment below this part of its strand's length is a repeated point.
@@ -22,10 +23,14 @@ STUB = 0.01
 
 @dataclass(frozen=True)
 class Curves:
-    """What is drawn: points (n, 3) float64 [stage units, the prim's own space] and counts (curve_count,)."""
+    """What is drawn: points (n, 3) float64 [stage units, the prim's own space] and counts (curve_count,).
+
+    nodes: (n, 3), what is simulated for each drawn point: itself, or for a Bezier handle a point of the curve.
+    """
 
     prim: Usd.Prim
     points: np.ndarray
+    nodes: np.ndarray
     counts: np.ndarray
     animated: bool
 
@@ -115,29 +120,33 @@ def read_curves(source: Source, prim: Usd.Prim) -> Curves:
         raise source.error(
             f"changes at time code {change:g}", prim, "curveVertexCounts", "the topology must not change"
         )
-    return Curves(prim, points, counts, points_attribute.ValueMightBeTimeVarying())
+    nodes = bezier.on_curve(points, counts) if is_bezier(prim) else points
+    return Curves(prim, points, nodes, counts, points_attribute.ValueMightBeTimeVarying())
+
+
+def is_bezier(prim: Usd.Prim) -> bool:
+    schema = UsdGeom.BasisCurves(prim)
+    cubic = schema.GetTypeAttr().Get() == UsdGeom.Tokens.cubic
+    return cubic and schema.GetBasisAttr().Get() == UsdGeom.Tokens.bezier
 
 
 def polylines(curves: Curves) -> Polylines | None:
     """Repeated points collapsed to one; None if no curve of the prim has any length."""
-    points, owner = curves.points, curves.curve_of_point
-    step = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
+    owner, step = curves.curve_of_point, _steps(curves)
     first = np.concatenate([[True], owner[1:] != owner[:-1]])
-    step[first] = 0.0
     lengths = np.bincount(owner, step, minlength=len(curves.counts))
     kept = first | (step > REPEATED * lengths[owner])
     simulated = np.bincount(owner, kept, minlength=len(curves.counts)).astype(np.int64)
     if simulated.max(initial=0) < 2:
         return None
     strands = np.nonzero(simulated)[0]
-    counts = np.maximum(simulated[strands], 2)
-    offsets = np.concatenate([[0], np.cumsum(counts)])
+    # A strand of one point gets a second, its stub.
+    offsets = np.concatenate([[0], np.cumsum(np.maximum(simulated[strands], 2))])
     strand_of_curve = np.cumsum(simulated > 0) - 1
     rank = np.cumsum(kept) - 1
-    rank_of_first = rank[first]
-    first_of_curve = np.zeros(len(curves.counts), dtype=np.int64)
-    first_of_curve[owner[first]] = rank_of_first
-    point_map = offsets[:-1][strand_of_curve[owner]] + rank - first_of_curve[owner]
+    rank_of_root = np.zeros(len(curves.counts), dtype=np.int64)
+    rank_of_root[owner[first]] = rank[first]
+    point_map = offsets[:-1][strand_of_curve[owner]] + rank - rank_of_root[owner]
     stubs = np.nonzero(simulated[strands] < 2)[0]
     tips = offsets[stubs] + 1
     source_points = np.zeros(offsets[-1], dtype=np.int64)
@@ -148,11 +157,16 @@ def polylines(curves: Curves) -> Polylines | None:
 
 def stub_length(curves: Curves) -> float:
     """[stage units]"""
-    owner = curves.curve_of_point
-    step = np.linalg.norm(np.diff(curves.points, axis=0, prepend=curves.points[:1]), axis=1)
-    step[np.concatenate([[True], owner[1:] != owner[:-1]])] = 0.0
-    lengths = np.bincount(owner, step, minlength=len(curves.counts))
+    lengths = np.bincount(curves.curve_of_point, _steps(curves))
     return STUB * float(np.median(lengths[lengths > 0.0]))
+
+
+def _steps(curves: Curves) -> np.ndarray:
+    """(n,) the distance of each node from the one before it on its curve; zero for the first."""
+    owner = curves.curve_of_point
+    step = np.linalg.norm(np.diff(curves.nodes, axis=0, prepend=curves.nodes[:1]), axis=1)
+    step[np.concatenate([[True], owner[1:] != owner[:-1]])] = 0.0
+    return step
 
 
 def read_widths(source: Source, curves: Curves) -> np.ndarray | None:

@@ -123,7 +123,7 @@ class _Search:
     ) -> None:
         self.source, self.curves, self.lines, self.binding = source, curves, lines, binding
         self.candidates, self.explicit = candidates, explicit
-        self.roots = curves.points[lines.roots]
+        self.roots = curves.nodes[lines.roots]
         self.lengths = _strand_lengths(curves, lines)
 
     def by_convention(self) -> _Found | None:
@@ -341,7 +341,7 @@ class _Assembly:
 
 def _strand_lengths(curves: Curves, lines: Polylines) -> np.ndarray:
     """(strand_count,) [stage units, the prim's own space]"""
-    points = curves.points[lines.source_points]
+    points = curves.nodes[lines.source_points]
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     step[lines.offsets[1:-1] - 1] = 0.0
     return np.add.reduceat(np.append(step, 0.0), lines.offsets[:-1])

@@ -9,8 +9,8 @@ import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdUtils
 
 from plait.pipeline.config import Config
-from plait.pipeline.read import curves as drawn
 from plait.pipeline.read import bezier, parameters, roles, strands
+from plait.pipeline.read import curves as drawn
 from plait.pipeline.read.extents import Neighbourhood
 from plait.pipeline.read.gravity import read_gravity
 from plait.pipeline.read.normals import read_normals

@@ -59,7 +59,7 @@ def build(
     """The groom in the scene."""
     WorldToLocal(source, curves.prim)(source.start / source.units.time_codes_per_second)
     strand_of = np.repeat(np.arange(len(lines.curves)), np.diff(lines.offsets))
-    drawn = curves.points[lines.source_points]
+    drawn = curves.nodes[lines.source_points]
     drawn[lines.stub_tips, 2] += stub_length(curves) if len(lines.stub_tips) else 0.0
     points = np.einsum("nij,nj->ni", rooted.to_rest[strand_of, :3, :3], drawn) + rooted.to_rest[strand_of, :3, 3]
     radius = _radii(source, curves, lines, rooted, given, strand_of)

@@ -42,7 +42,7 @@ def _back(shot) -> np.ndarray:
     to_world = strands.rest_transform
     world = strands.points @ to_world[:3, :3].T + to_world[:3, 3]
     to_local = output.world_to_local(shot.info.start / shot.info.time_codes_per_second)
-    return (world @ to_local[:3, :3].T + to_local[:3, 3])[output.point_map]
+    return output.drawn(world @ to_local[:3, :3].T + to_local[:3, 3])
 
 
 @pytest.mark.parametrize("wrap", ["nonperiodic", "pinned"])
@@ -53,6 +53,32 @@ def test_every_basis_comes_back_as_drawn(type: str, basis: str, wrap: str, read)
     shot = read(_curves(type=type, basis=basis, wrap=wrap), meters=0.01)
     drawn = np.column_stack([np.zeros(7), np.arange(7.0), np.zeros(7)])
     np.testing.assert_allclose(_back(shot), drawn, atol=1e-12)
+
+
+def test_a_bezier_hair_bends_without_kinks(read) -> None:
+    """Its simulated points bent to an arc, the curve drawn from them is smooth where its segments meet.
+
+    A cubic through four points of an arc of angle t has an end tangent wrong by O(t^3): two such meet at less than
+    t^3; along the control polygon a third of the bending, 2 t / 3, would be kinks at the joints.
+    """
+    points = "[(0, 0, 0), (0, 1, 0), (0, 2, 0), (0, 3, 0), (0, 4, 0), (0, 5, 0), (0, 6, 0)]"
+    shot = read(_curves(type="cubic", basis="bezier", points=points))
+    output, segment_angle = shot.curves[0], 0.3
+    along = np.arange(7.0) * segment_angle / 3.0
+    radius = 3.0 / segment_angle
+    arc = radius * np.column_stack([1.0 - np.cos(along), np.sin(along), np.zeros(7)])
+    control = output.drawn(arc)
+    into, out = control[3] - control[2], control[4] - control[3]
+    kink = np.arccos(into @ out / np.linalg.norm(into) / np.linalg.norm(out))
+    assert kink < segment_angle**3
+    np.testing.assert_allclose(control[::3], arc[::3], atol=1e-12)
+
+
+def test_bezier_handles_come_back_as_drawn(read) -> None:
+    points = "[(0, 0, 0), (3, 1, 0), (-2, 2, 1), (0, 3, 0), (0, 3, 0), (1, 5, -2), (0, 6, 0)]"
+    shot = read(_curves(type="cubic", basis="bezier", points=points))
+    expected = [(0, 0, 0), (3, 1, 0), (-2, 2, 1), (0, 3, 0), (0, 3, 0), (1, 5, -2), (0, 6, 0)]
+    np.testing.assert_allclose(_back(shot), expected, atol=1e-12)
 
 
 def test_transform_units_and_origin_there_and_back(read) -> None:
