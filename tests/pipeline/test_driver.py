@@ -142,6 +142,17 @@ def test_resume_of_another_run_is_refused(finished, tmp_path, capsys):
     assert results(output) == results(finished)
 
 
+def test_a_shot_that_changed_meanwhile_is_not_resumed(tmp_path, capsys):
+    """A result half of one shot and half of another would be neither."""
+    shot = tmp_path / "shot.usda"
+    shot.write_text(SMALL.read_text())
+    command = ["sim", str(shot), "-o", str(tmp_path / "small.usda"), *ARGUMENTS]
+    assert main(command) == EXIT_DONE
+    shot.write_text(SMALL.read_text() + "\n# touched\n")
+    assert main([*command, "--resume"]) == EXIT_USAGE
+    assert "--overwrite" in capsys.readouterr().err
+
+
 def test_what_diverges_stops_the_run_and_keeps_the_frames_before(finished, tmp_path, capsys, monkeypatch):
     """NaN never reaches a file: exit 3, one line with what, where and when, frames before it kept."""
     advance = Simulation.advance_frame
