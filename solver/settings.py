@@ -10,7 +10,6 @@ import msgspec
 FINITE = 1e300
 Count = Annotated[int, msgspec.Meta(ge=1)]
 Positive = Annotated[float, msgspec.Meta(gt=0.0, lt=FINITE)]
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0, lt=FINITE)]
 
 
 class StrandSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -32,12 +31,10 @@ class ContactSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     """[contact]: strands against bodies.
 
     passes: detection and solve are alternated at most this often in a substep.
-    friction: Coulomb coefficient where neither prim nor material gives one.
     exit_speed: [m/s] a point that starts inside a body is led out no faster than this.
     """
 
     passes: Count = 4
-    friction: NonNegative = 0.3
     exit_speed: Positive = 0.5
 
 

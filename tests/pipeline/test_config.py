@@ -27,7 +27,7 @@ def test_defaults_then_file_then_set_then_flags(tmp_path):
         ("solver.strands.tolerance=nan", "tolerance"),
         ("solver.strands.tolerance=inf", "tolerance"),
         ("solver.strands.integrator=euler", "integrator"),
-        ("solver.contact.friction=-0.1", "friction"),
+        ("solver.contact.exit_speed=-0.1", "exit_speed"),
         ("solver.contact.exit_speed=inf", "exit_speed"),
         ("solver.nonsense=1", "nonsense"),
         ("output.chunk=0", "chunk"),
