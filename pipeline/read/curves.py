@@ -1,8 +1,8 @@
 """BasisCurves: what is drawn, and the polylines that are simulated for it.
 
 Rods run through the control points, which then are the result as they stand: they lie on linear and Catmull-Rom
-curves, and a b-spline smooths its own polygon, whatever shape that takes. Only Bezier handles are replaced by points
-of the curve (see `bezier`).
+curves, and a b-spline smooths its own polygon, whatever shape that takes. Only Bezier handles are replaced, by
+points of the curve (see `bezier`).
 """
 
 from __future__ import annotations
@@ -77,6 +77,13 @@ def refusal(prim: Usd.Prim) -> str:
     if UsdGeom.BasisCurves(prim).GetWrapAttr().Get() == UsdGeom.Tokens.periodic:
         return "closed loops (wrap periodic) have no root and no tip; make them nonperiodic or pinned"
     return ""
+
+
+def are_guides(prim: Usd.Prim) -> bool:
+    """Marked by the `groom_guide` primvar or by purpose `guide`; they are simulated like any other strands."""
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("groom_guide")
+    marked = primvar and primvar.HasAuthoredValue() and np.any(primvar.ComputeFlattened())
+    return bool(marked) or UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide
 
 
 def sizes(prim: Usd.Prim, source: Source) -> dict[str, int]:

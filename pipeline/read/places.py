@@ -48,16 +48,19 @@ def skinprim(source: Source, curves: Curves, lines: Polylines) -> Convention | N
 
 
 def rest_place(source: Source, curves: Curves, lines: Polylines) -> Convention | None:
-    """`restroot` or `rest`: where the root lies on the skin at rest, in the skin's own coordinates."""
+    """`restroot` or `rest`: where the root lies on the skin at rest, in the skin's own coordinates.
+
+    The skin at rest is its own `rest` (a value a point) where it has one, else its points as authored.
+    """
     rest = _per_strand(source, curves, lines, ("restroot", "rest"), 3)
     if rest is None:
         return None
 
     def ask(body: Body, roots: np.ndarray, points: np.ndarray) -> Iterator[Places]:
-        triangle, barycentric, _ = closest_on_triangles(
-            rest @ body.own_to_rest[:3, :3].T, body.surface.points, body.surface.triangles
-        )
-        yield triangle, barycentric, np.ones(len(rest), dtype=bool), ""
+        shape, detail = _rest_shape(source, body)
+        places = rest @ body.own_to_rest[:3, :3].T + body.own_to_rest[:3, 3]
+        triangle, barycentric, _ = closest_on_triangles(places, shape, body.surface.triangles)
+        yield triangle, barycentric, np.ones(len(rest), dtype=bool), detail
 
     return ask
 
@@ -116,6 +119,18 @@ def _per_strand(
             "author one a curve, interpolation uniform",
         )
     return None
+
+
+def _rest_shape(source: Source, body: Body) -> tuple[np.ndarray, str]:
+    """The points of the skin's surface at rest, and by what they are known."""
+    primvar = UsdGeom.PrimvarsAPI(body.prim).GetPrimvar("rest")
+    if primvar and primvar.HasAuthoredValue() and primvar.GetInterpolation() == UsdGeom.Tokens.vertex:
+        given = values.checked(source, body.prim, primvar.GetName(), primvar.ComputeFlattened(source.start))
+        if given.ndim == 2 and given.shape[1] == 3 and body.authored_points.max() < len(given):
+            shape = np.zeros_like(body.surface.points)
+            shape[body.surface.triangles] = given[body.authored_points] @ body.own_to_rest[:3, :3].T
+            return shape, "on the skin's own rest"
+    return body.surface.points, ""
 
 
 def _spots(body: Body, faces: np.ndarray, uv: np.ndarray, points: np.ndarray) -> np.ndarray:

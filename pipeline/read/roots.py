@@ -1,8 +1,8 @@
 """Where strands grow. USD has no standard for it: several conventions are tried, and the drawing decides.
 
 A convention names a place on a skin; the drawing says whether that is meant, by how far the drawn root lies from
-it. The drawing may lie beside the skin in its bind pose, in its own coordinates (a groom exported without the
-skin's transform), or in the pose of the first frame; whichever is nearest is taken.
+it. The drawing may lie beside the skin in its bind pose, in its coordinates (a groom exported without the skin's
+transform), or in the pose of the first frame; whichever is nearest is taken.
 """
 
 from __future__ import annotations
@@ -121,8 +121,9 @@ class _Search:
         candidates: Sequence[Body],
         explicit: bool,
     ) -> None:
-        self.source, self.curves, self.lines, self.binding = source, curves, lines, binding
-        self.candidates, self.explicit = candidates, explicit
+        self.source, self.curves, self.lines = source, curves, lines
+        self.explicit = explicit
+        self.options = [(body, list(drawings(source, curves, binding, body))) for body in candidates]
         self.roots = curves.nodes[lines.roots]
         self.lengths = _strand_lengths(curves, lines)
 
@@ -136,8 +137,8 @@ class _Search:
                 self._measure(
                     body, drawing, triangle, barycentric, named, f"{label}, {detail}" if detail else label
                 )
-                for body in self.candidates
-                for drawing in drawings(self.source, self.curves, self.binding, body)
+                for body, ways in self.options
+                for drawing in ways
                 for triangle, barycentric, named, detail in asked(
                     body, transform(drawing.to_rest, self.roots), drawing.points
                 )
@@ -158,9 +159,9 @@ class _Search:
     def by_distance(self, left: np.ndarray) -> list[_Found]:
         """For each skin the strands of `left` that lie closest to it, and near enough."""
         tried = []
-        for body in self.candidates:
-            options = []
-            for drawing in drawings(self.source, self.curves, self.binding, body):
+        for body, ways in self.options:
+            found = []
+            for drawing in ways:
                 triangle = np.zeros(len(self.roots), dtype=np.int64)
                 barycentric = np.zeros((len(self.roots), 3))
                 points = transform(drawing.to_rest, self.roots[left])
@@ -169,8 +170,8 @@ class _Search:
                 )
                 named = np.zeros(len(self.roots), dtype=bool)
                 named[left] = True
-                options.append(self._measure(body, drawing, triangle, barycentric, named, "closest point"))
-            tried.append(max(options, key=lambda found: (found.share, -_misfit(found))))
+                found.append(self._measure(body, drawing, triangle, barycentric, named, "closest point"))
+            tried.append(max(found, key=lambda way: (way.share, -_misfit(way))))
         if not tried:
             return []
         winner = np.argmin([np.where(found.agrees, found.distance, np.inf) for found in tried], axis=0)
@@ -221,8 +222,14 @@ def drawings(source: Source, curves: Curves, binding: SkeletonBinding | None, bo
     else:
         beside = np.linalg.solve(body.rest_to_world, world) if _regular(body.rest_to_world) else body.own_to_rest
     yield Drawing("drawn beside its rest shape", beside, rest, body.rest_to_world, False)
-    if not np.allclose(beside, body.own_to_rest, rtol=1e-6, atol=1e-9):
-        yield Drawing("drawn in its own coordinates", body.own_to_rest, rest, body.rest_to_world, False)
+    given = [beside]
+    for label, to_rest in (
+        ("drawn in the skeleton's coordinates", body.bind_to_rest),
+        ("drawn in the skin's own coordinates", body.own_to_rest),
+    ):
+        if not any(np.allclose(to_rest, other, rtol=1e-6, atol=1e-9) for other in given):
+            given.append(to_rest)
+            yield Drawing(label, to_rest, rest, body.rest_to_world, False)
     if body.deforms and binding is None:
         start = source.start / source.units.time_codes_per_second
         posed = place_points(body.surface, body.surface.motion.pose(start))

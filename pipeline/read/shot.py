@@ -70,6 +70,7 @@ class _Reader:
             scene_strands.append(self._strands(groom, surfaces))
         gravity = read_gravity(self.source)
         scene = Scene(tuple(surfaces), tuple(scene_strands), gravity, self.source.origin)
+        self._tell_of_skipped_curves()
         reports = tuple(self._report(role, carrying, grooms) for role in self.roles)
         return Shot(self.source.info, scene, tuple(outputs), reports)
 
@@ -84,14 +85,15 @@ class _Reader:
             lines = drawn.polylines(curves)
             if lines is None:
                 reason = "no curve has a length"
-                self.roles[index] = replace(role, role=roles.SKIPPED, reason=reason)
-                self.source.warn(f"not simulated: {reason}", role.prim, "points")
+                self.roles[index] = replace(role, role=roles.SKIPPED, reason=reason, authored=False)
                 continue
             stubs = len(lines.stub_tips)
             if stubs:
                 self.source.warn(
                     f"{stubs} curves have no length; they follow their roots unsimulated", role.prim, "points"
                 )
+            if drawn.are_guides(role.prim):
+                self.source.warn("marked as guides; nothing else is interpolated from them yet", role.prim)
             grooms.append(_Groom(role, curves, lines))
         return grooms
 
@@ -128,6 +130,16 @@ class _Reader:
             skinned=self.skeletons.find(prim) is not None,
             normals=read_normals(self.source, curves, groom.lines, groom.rooted),
         )
+
+    def _tell_of_skipped_curves(self) -> None:
+        """One line a reason: what might have been meant to be simulated and is not."""
+        skipped: dict[str, list[Usd.Prim]] = {}
+        for role in self.roles:
+            if role.prim.IsA(UsdGeom.Curves) and role.role == roles.SKIPPED and not role.authored:
+                skipped.setdefault(role.reason, []).append(role.prim)
+        for reason, prims in skipped.items():
+            others = f" (and {len(prims) - 1} more)" if len(prims) > 1 else ""
+            self.source.warn(f"not simulated{others}: {reason}", prims[0])
 
     # --- surfaces ---------------------------------------------------------------------------------------------
 

@@ -47,8 +47,8 @@ class Body:
     authored_points, authored_corners: (triangle_count, 3), the triangles' points, and their entries in the
         face-vertex lists, as authored: where primvars are found.
     rest_to_world: (4, 4), rest points to scene coordinates at the first frame in the bind pose.
-    own_to_rest: (4, 4), the space in which roots may be drawn beside it [stage units] to rest points [m]: the
-        skeleton's for skinned prims, else the prim's own.
+    own_to_rest: (4, 4), the prim's own space [stage units] to rest points [m].
+    bind_to_rest: the same from its skeleton's space; from its own where no skeleton moves it.
     subdivided: the drawn surface is smoother than the cage.
     """
 
@@ -61,6 +61,7 @@ class Body:
     authored_corners: np.ndarray
     rest_to_world: np.ndarray
     own_to_rest: np.ndarray
+    bind_to_rest: np.ndarray
     subdivided: bool
     binding: SkeletonBinding | None
 
@@ -143,6 +144,7 @@ def read_body(source: Source, prim: Usd.Prim, binding: SkeletonBinding | None) -
         authored_corners=polygons.entries[_corners_of(triangles, face_of, offsets, polygons.indices)],
         rest_to_world=moved.rest_to_world,
         own_to_rest=moved.own_to_rest,
+        bind_to_rest=moved.bind_to_rest,
         subdivided=polygons.subdivided,
         binding=binding,
     )
@@ -163,6 +165,7 @@ class _Bound:
     attached: np.ndarray
     rest_to_world: np.ndarray
     own_to_rest: np.ndarray
+    bind_to_rest: np.ndarray
     keep_motion: Callable[[np.ndarray], Motion] | None = None
 
 
@@ -183,26 +186,33 @@ def _bind(
             shapes_, weights = blended
             motion = BlendedMotion(source, placement, anchor, weights)
             surface = Surface(name, rest, _NO_TRIANGLES, motion, blend_shapes=shapes_)
-            return _Bound(surface, _shape_rows(shapes_, len(points)), to_world, own_to_rest)
+            return _Bound(surface, _shape_rows(shapes_, len(points)), to_world, own_to_rest, own_to_rest)
     if animated:
         attribute = UsdGeom.PointBased(prim).GetPointsAttr()
 
         def cache(kept: np.ndarray) -> PointsMotion:
             return PointsMotion(source, attribute, placement, len(points), kept)
 
-        return _Bound(Surface(name, rest, _NO_TRIANGLES), np.zeros((len(points), 0)), to_world, own_to_rest, cache)
+        return _Bound(
+            Surface(name, rest, _NO_TRIANGLES),
+            np.zeros((len(points), 0)),
+            to_world,
+            own_to_rest,
+            own_to_rest,
+            cache,
+        )
     surface = Surface(name, rest, _NO_TRIANGLES, RigidMotion(source, placement, anchor))
-    return _Bound(surface, np.zeros((len(points), 0)), to_world, own_to_rest)
+    return _Bound(surface, np.zeros((len(points), 0)), to_world, own_to_rest, own_to_rest)
 
 
 def _bind_to_joints(source: Source, prim: Usd.Prim, points: np.ndarray, binding: SkeletonBinding) -> _Bound:
     skeleton = binding.skeleton
     influences = read_influences(source, binding, len(points))
     anchor = Anchor.of(skeleton.placement, source)
-    own_to_rest = _linear(anchor.linear * anchor.meters_per_unit)
-    bound_to_rest = own_to_rest @ read_geom_bind(source, binding)
+    bind_to_rest = _linear(anchor.linear * anchor.meters_per_unit)
+    own_to_rest = bind_to_rest @ read_geom_bind(source, binding)
     name = str(prim.GetPath())
-    rest = transform(bound_to_rest, points)
+    rest = transform(own_to_rest, points)
     to_world = anchor.undo(skeleton.placement.metric(source.start))
     attached = np.column_stack([influences.indices, influences.weights])
     uneven = influences.method == "dual-quaternion" and not influences.rigid and not is_similarity(anchor.linear)
@@ -211,8 +221,8 @@ def _bind_to_joints(source: Source, prim: Usd.Prim, points: np.ndarray, binding:
         def deform(kept: np.ndarray) -> DeformedMotion:
             return DeformedMotion(skeleton, binding.query, points, kept, _blended(source, binding, points))
 
-        return _Bound(Surface(name, rest, _NO_TRIANGLES), attached, to_world, own_to_rest, deform)
-    blended = read_blend_shapes(source, binding, len(points), bound_to_rest[:3, :3])
+        return _Bound(Surface(name, rest, _NO_TRIANGLES), attached, to_world, own_to_rest, bind_to_rest, deform)
+    blended = read_blend_shapes(source, binding, len(points), own_to_rest[:3, :3])
     shapes_, weights = blended if blended else (None, None)
     if shapes_ is not None:
         attached = np.column_stack([attached, _shape_rows(shapes_, len(points))])
@@ -221,7 +231,7 @@ def _bind_to_joints(source: Source, prim: Usd.Prim, points: np.ndarray, binding:
         skinning = Skinning(influences.indices, influences.weights, influences.method)
     motion = SkinnedMotion(skeleton, anchor, influences.used, weights)
     surface = Surface(name, rest, _NO_TRIANGLES, motion, skinning, shapes_)
-    return _Bound(surface, attached, to_world, own_to_rest)
+    return _Bound(surface, attached, to_world, own_to_rest, bind_to_rest)
 
 
 def _blended(source: Source, binding: SkeletonBinding, points: np.ndarray) -> Callable[[float], np.ndarray] | None:

@@ -126,8 +126,19 @@ def test_hidden_prims_take_part_only_if_asked(how: str, read) -> None:
     assert "/Hull" in _colliders(shot.scene), "collision shapes are usually hidden"
 
 
-def test_guides_are_simulated(read) -> None:
-    assert _roles(read(_hair("", 'uniform token purpose = "guide"')))["/Hair"] == "strands"
+@pytest.mark.parametrize(
+    "mark", ['uniform token purpose = "guide"', 'int[] primvars:groom_guide = [1] (interpolation = "uniform")']
+)
+def test_guides_are_simulated_and_told_of(mark: str, read) -> None:
+    shot = read(_hair("", mark))
+    assert _roles(shot)["/Hair"] == "strands"
+    assert any("guides" in warning for warning in shot.warnings)
+
+
+def test_skipped_curves_are_told_of_once_a_reason(read) -> None:
+    hidden = _hair("", 'token visibility = "invisible"')
+    shot = read(hidden + hidden.replace('"Hair"', '"Beard"'))
+    assert [w for w in shot.warnings if "not simulated (and 1 more): invisible" in w and "</Hair>" in w]
 
 
 def test_an_inactive_prim_is_not_there(read) -> None:

@@ -184,6 +184,17 @@ def test_conventions(primvars: str, how: str, read) -> None:
         np.testing.assert_allclose(_places(shot, code), _joint_a(code, ROOTS), atol=0.06)
 
 
+def test_the_skins_own_rest(read) -> None:
+    """Skin and groom are drawn elsewhere than at rest; `rest` on both says how they belong together."""
+    shifted = _by(3, 0, 1)
+    own = f'    point3f[] primvars:rest = {_tuples(PATCH + shifted)} (interpolation = "vertex")\n'
+    skin = _skin().replace("        point3f[] points", f"    {own}        point3f[] points")
+    hair = _hair(ROOTS, f'point3f[] primvars:rest = {_tuples(ROOTS + shifted)} (interpolation = "uniform")')
+    shot = read(_rig(skin) + hair)
+    assert _how(shot).startswith("rest, on the skin's own rest on /Body/Skin")
+    np.testing.assert_allclose(_places(shot, 10.0), _joint_a(10.0, ROOTS), atol=0.06)
+
+
 def test_texture_coordinates(read) -> None:
     """On flat triangles, places with the same coordinates; there `st` names them exactly."""
     flat = PATCH * [1, 0, 1]
@@ -224,10 +235,21 @@ def test_drawn_in_the_pose_of_the_first_frame(read) -> None:
     np.testing.assert_allclose(_places(shot, 10.0), _joint_a(10.0, ROOTS), atol=0.06)
 
 
-def test_drawn_in_its_own_coordinates(read) -> None:
+def test_drawn_in_the_skins_own_coordinates(read) -> None:
+    """A groom made on the mesh as modelled, which its bind transform moves to the skeleton."""
+    bind = "        matrix4d primvars:skel:geomBindTransform = "
+    bind += "((0, 1, 0, 0), (-1, 0, 0, 0), (0, 0, 1, 0), (50, 0, 0, 1))\n"
+    skin = _skin().replace("        point3f[] points", f"{bind}        point3f[] points")
+    shot = read(_rig(skin) + _hair(ROOTS, NAMED))
+    assert _how(shot).endswith("drawn in the skin's own coordinates")
+    bound = ROOTS @ np.array([(0, 1, 0), (-1, 0, 0), (0, 0, 1)]) + _by(50, 0, 0)
+    np.testing.assert_allclose(_places(shot, 10.0), _joint_a(10.0, bound), atol=0.06)
+
+
+def test_drawn_in_the_skeletons_coordinates(read) -> None:
     """A groom exported without the transform above its skin."""
     shot = read(_rig(placed=WALKS) + _hair(ROOTS, NAMED))
-    assert _how(shot).endswith("drawn in its own coordinates")
+    assert _how(shot).endswith("drawn in the skeleton's coordinates")
     np.testing.assert_allclose(_places(shot, 10.0), _joint_a(10.0, ROOTS) + _by(30, 0, 5), atol=0.06)
 
 
