@@ -58,18 +58,27 @@ class Plain(Quiet):
 
     def __init__(self, log_format: str = "text", stream: TextIO | None = None) -> None:
         super().__init__(log_format, stream)
-        self.started = self.printed = time.monotonic()
+        self.phase_started()
+
+    def phase_started(self) -> None:
+        """The first frame of a phase holds the compilation: time left is judged by those after it."""
+        self.first: tuple[int, float] | None = None
+        self.printed = time.monotonic()
 
     def phase(self, text: str) -> None:
         self.log(text)
-        self.started = self.printed = time.monotonic()
+        self.phase_started()
 
     def frame(self, done: int, total: int, label: str) -> None:
         now = time.monotonic()
+        if self.first is None:
+            self.first = (done, now)
+            self.log(label, done=f"{done}/{total}")
+            return
         if done < total and now - self.printed < self.SECONDS_BETWEEN_LINES:
             return
         self.printed = now
-        left = (now - self.started) / done * (total - done)
+        left = (now - self.first[1]) / (done - self.first[0]) * (total - done)
         self.log(label, done=f"{done}/{total}", left=f"{left:.0f}s")
 
 
@@ -100,14 +109,17 @@ class Rich(Quiet):
             console=Console(stderr=True),
         )
         self.task = self.bar.add_task("starting", total=None)
+        self.counting = False
         self.bar.start()
 
     def phase(self, text: str) -> None:
+        self.counting = False
         self.bar.update(self.task, description=text, total=None, completed=0)
 
     def frame(self, done: int, total: int, label: str) -> None:
-        if done <= 1:
+        if not self.counting:  # after the first frame, which holds the compilation
             self.bar.reset(self.task)
+            self.counting = True
         self.bar.update(self.task, description=label, total=total, completed=done)
 
     def log(self, event: str, **fields: Any) -> None:

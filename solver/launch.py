@@ -41,6 +41,7 @@ class Launcher:
         self.launches: Counter[str] = Counter()
         self.seconds: Counter[str] = Counter()
         self._stage = "build"
+        self._loaded: set[wp.Module] = set()
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
 
     @contextmanager
@@ -77,7 +78,9 @@ class Launcher:
         if ways == 1:
             wp.launch(kernel, count, [0, *inputs], list(outputs), device=self.device)
             return
-        kernel.module.load(self.device)  # once, before threads could race for it
+        if kernel.module not in self._loaded:  # once, before threads could race for it
+            wp.load_module(kernel.module, device=self.device)
+            self._loaded.add(kernel.module)
         edges = [count * i // ways for i in range(ways + 1)]
         jobs = [
             self._pool.submit(wp.launch, kernel, last - first, [first, *inputs], list(outputs), device=self.device)
