@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plait.pipeline.read import places
-from plait.pipeline.read.carriers import GatheredMotion, own_carrier, place_points, skinned_to_rest
+from plait.pipeline.read.carriers import GatheredMotion, own_carrier, skinned_to_rest
 from plait.pipeline.read.closest import closest_on_triangles
 from plait.pipeline.read.curves import Curves, Polylines
 from plait.pipeline.read.motions import Anchor, Placement, transform
@@ -63,6 +63,11 @@ class Drawing:
     points: np.ndarray
     to_world: np.ndarray
     posed: bool
+
+    @property
+    def scale(self) -> float:
+        """[m per stage unit]"""
+        return float(abs(np.linalg.det(self.to_rest[:3, :3])) ** (1.0 / 3.0))
 
 
 @dataclass
@@ -162,22 +167,33 @@ class _Search:
         for body, ways in self.options:
             found = []
             for drawing in ways:
+                points = transform(drawing.to_rest, self.roots[left])
+                if not self.explicit and self._out_of_reach(body, drawing, points):
+                    continue
                 triangle = np.zeros(len(self.roots), dtype=np.int64)
                 barycentric = np.zeros((len(self.roots), 3))
-                points = transform(drawing.to_rest, self.roots[left])
                 triangle[left], barycentric[left], _ = closest_on_triangles(
                     points, drawing.points, body.surface.triangles
                 )
                 named = np.zeros(len(self.roots), dtype=bool)
                 named[left] = True
                 found.append(self._measure(body, drawing, triangle, barycentric, named, "closest point"))
-            tried.append(max(found, key=lambda way: (way.share, -_misfit(way))))
+            if found:
+                tried.append(max(found, key=lambda way: (way.share, -_misfit(way))))
         if not tried:
             return []
         winner = np.argmin([np.where(found.agrees, found.distance, np.inf) for found in tried], axis=0)
         for k, found in enumerate(tried):
             found.agrees = found.agrees & (winner == k)
         return tried
+
+    def _out_of_reach(self, body: Body, drawing: Drawing, points: np.ndarray) -> bool:
+        """Whether no root can belong to the skin, by their boxes alone."""
+        gap = np.maximum(
+            drawing.points.min(axis=0) - points.max(axis=0), points.min(axis=0) - drawing.points.max(axis=0)
+        ).max()
+        size = body.triangle_sizes(drawing.points, body.surface.triangles).max() if gap > 0.0 else 0.0
+        return bool(gap > REACH_OF_LENGTH * drawing.scale * self.lengths.max() + REACH_OF_TRIANGLE * size)
 
     def _measure(
         self,
@@ -191,11 +207,8 @@ class _Search:
         corners = drawing.points[body.surface.triangles[triangle]]
         place = np.einsum("sk,skd->sd", barycentric, corners)
         distance = np.linalg.norm(place - transform(drawing.to_rest, self.roots), axis=1)
-        scale = abs(np.linalg.det(drawing.to_rest[:3, :3])) ** (1.0 / 3.0)
-        size = np.sqrt(
-            np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        )
-        reach = REACH_OF_LENGTH * scale * self.lengths + REACH_OF_TRIANGLE * size * body.subdivided
+        size = body.triangle_sizes(drawing.points, body.surface.triangles[triangle])
+        reach = REACH_OF_LENGTH * drawing.scale * self.lengths + REACH_OF_TRIANGLE * size
         agrees = named if self.explicit else named & (distance <= reach)
         return _Found(body, drawing, triangle, barycentric, distance, agrees, how)
 
@@ -231,9 +244,7 @@ def drawings(source: Source, curves: Curves, binding: SkeletonBinding | None, bo
             given.append(to_rest)
             yield Drawing(label, to_rest, rest, body.rest_to_world, False)
     if body.deforms and binding is None:
-        start = source.start / source.units.time_codes_per_second
-        posed = place_points(body.surface, body.surface.motion.pose(start))
-        yield Drawing("drawn in the pose of the first frame", world, posed, np.eye(4), True)
+        yield Drawing("drawn in the pose of the first frame", world, body.posed, np.eye(4), True)
 
 
 def _own_to_world(source: Source, curves: Curves, binding: SkeletonBinding | None) -> np.ndarray:

@@ -25,6 +25,7 @@ from plait.pipeline.read.motions import (
     is_similarity,
     transform,
 )
+from plait.pipeline.read.placing import place_points
 from plait.pipeline.read.skeletons import (
     SkeletonBinding,
     Skeletons,
@@ -50,6 +51,7 @@ class Body:
     own_to_rest: (4, 4), the prim's own space [stage units] to rest points [m].
     bind_to_rest: the same from its skeleton's space; from its own where no skeleton moves it.
     subdivided: the drawn surface is smoother than the cage.
+    start: [s] time of the first frame.
     """
 
     prim: Usd.Prim
@@ -64,6 +66,7 @@ class Body:
     bind_to_rest: np.ndarray
     subdivided: bool
     binding: SkeletonBinding | None
+    start: float
 
     @property
     def path(self) -> str:
@@ -73,6 +76,16 @@ class Body:
     def deforms(self) -> bool:
         """Whether its shape at the first frame may differ from that at rest."""
         return self.binding is not None
+
+    @cached_property
+    def posed(self) -> np.ndarray:
+        """(n, 3), the surface's points at the first frame, scene coordinates."""
+        return place_points(self.surface, self.surface.motion.pose(self.start))
+
+    def triangle_sizes(self, points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """(k,) for some triangles, with these points: how far the drawn surface may lie from the cage's scale."""
+        a, b, c = (points[triangles[:, k]] for k in range(3))
+        return np.sqrt(np.linalg.norm(np.cross(b - a, c - a), axis=1)) * self.subdivided
 
     @cached_property
     def first_triangle(self) -> np.ndarray:
@@ -147,6 +160,7 @@ def read_body(source: Source, prim: Usd.Prim, binding: SkeletonBinding | None) -
         bind_to_rest=moved.bind_to_rest,
         subdivided=polygons.subdivided,
         binding=binding,
+        start=source.start / source.units.time_codes_per_second,
     )
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from plait.pipeline.config import Config
 from plait.pipeline.read import read_shot
-from plait.pipeline.read.carriers import place_points
+from plait.pipeline.read.placing import place_points
 from plait.pipeline.shot import Shot
 
 SAMPLE = "samples/Autodesk_arnold-usd/testsuite/test_1814/data/test.usda"

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdSkel, Vt
 
-from plait.pipeline.read.carriers import place_points
 from plait.pipeline.read.motions import DeformedMotion
+from plait.pipeline.read.placing import place_points
 from plait.pipeline.read.skeletons import SkeletonBinding, Skeletons
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Bodies, Body
