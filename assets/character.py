@@ -14,6 +14,7 @@ from plait.assets.implicit import (
     neighbour_mean,
     polygonise,
     relax,
+    rotation_z,
     round_cone,
     simplify,
 )
@@ -36,7 +37,7 @@ class Joint:
 class Character:
     """The skin in its modelled pose.
 
-    points (n, 3) [cm], triangles (m, 3), joint_indices and joint_weights (n, 4), colours (n, 3) linear RGB.
+    points (n, 3) [cm], triangles (m, 3), joint_indices and joint_weights (n, 4), colours (m, 3) linear RGB.
     """
 
     joints: tuple[Joint, ...]
@@ -60,7 +61,7 @@ def skeleton() -> tuple[Joint, ...]:
     down_arm = np.array([np.sin(ARM_ANGLE), -np.cos(ARM_ANGLE), 0.0])
     shoulder = np.array([17.0, 139.5, -2.0])
     elbow = shoulder + 28.0 * down_arm
-    wrist = elbow + 24.5 * (down_arm + (0, 0, 0.12))
+    wrist = elbow + 24.5 * (down_arm + np.array([0.0, 0.0, 0.12]))
     side = [
         ("Clavicle", "UpperChest", (3.0, 140.5, -1.0)),
         ("UpperArm", "Clavicle", shoulder),
@@ -77,9 +78,7 @@ def skeleton() -> tuple[Joint, ...]:
             own_parent = parent if parent in ("UpperChest", "Hips") else prefix + parent
             rows.append((prefix + name, own_parent, np.asarray(place, float) * (sign, 1, 1)))
     index = {name: i for i, (name, _, _) in enumerate(rows)}
-    return tuple(
-        Joint(name, index.get(parent, -1), np.asarray(place, float)) for name, parent, place in rows
-    )
+    return tuple(Joint(name, index.get(parent, -1), np.asarray(place, float)) for name, parent, place in rows)
 
 
 def build() -> Character:
@@ -87,7 +86,7 @@ def build() -> Character:
     joints = skeleton()
     points, triangles = skin()
     indices, weights = blended_weights(points, triangles, joints)
-    return Character(joints, points, triangles, indices, weights, colours(points))
+    return Character(joints, points, triangles, indices, weights, colours(points[triangles].mean(axis=1)))
 
 
 def skin() -> tuple[np.ndarray, np.ndarray]:
@@ -147,8 +146,11 @@ def head(p: np.ndarray) -> np.ndarray:
     d = blend(d, ellipsoid(p, (1.0, 158.9, 9.6), (0.8, 0.65, 0.9)), 0.7)
     d = blend(d, ellipsoid(p, (0, 156.75, 8.85), (2.0, 0.55, 0.9)), 0.5)
     d = blend(d, ellipsoid(p, (0, 155.75, 8.75), (1.7, 0.6, 0.85)), 0.5)
-    ear_axes = rotation_z(np.radians(-12.0))
-    return blend(d, ellipsoid(p, (7.6, 161.2, -0.6), (0.9, 3.0, 1.9), ear_axes), 0.8)
+    return blend(d, ear(p), 0.8)
+
+
+def ear(p: np.ndarray) -> np.ndarray:
+    return ellipsoid(p, (7.6, 161.2, -0.6), (0.9, 3.0, 1.9), rotation_z(np.radians(-12.0)))
 
 
 def arm(p: np.ndarray) -> np.ndarray:
@@ -170,7 +172,9 @@ def hand(p: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
     thumb = round_cone(mirrored, wrist + 3.0 * down + (0, 0, 3.0), wrist + 8.0 * down + (-1.6, 0, 5.6), 1.3, 0.95)
     opened = blend(blend(palm, fingers, 2.0), thumb, 1.2)
     fist = ellipsoid(mirrored, wrist + 5.6 * down + (-1.2, 0, 0.8), (3.6, 4.4, 4.3), axes)
-    knuckles = round_cone(mirrored, wrist + 4.0 * down + (-3.4, 0, 4.0), wrist + 7.8 * down + (-3.8, 0, 2.6), 1.3, 1.2)
+    knuckles = round_cone(
+        mirrored, wrist + 4.0 * down + (-3.4, 0, 4.0), wrist + 7.8 * down + (-3.8, 0, 2.6), 1.3, 1.2
+    )
     closed = blend(fist, knuckles, 1.2)
     return np.where(p[:, 0] > 0.0, opened, closed)
 
@@ -186,12 +190,6 @@ def leg(p: np.ndarray) -> np.ndarray:
     return blend(d, -blend(-foot, -sole, 0.8), 2.0)
 
 
-def rotation_z(angle: float) -> np.ndarray:
-    """(3, 3): turns -Y towards +X by `angle`."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
 def joint_volumes(joints: tuple[Joint, ...]) -> list[Distance]:
     """For each joint, the distance to the part of the body that it moves."""
     places = {joint.name: joint.place for joint in joints}
@@ -199,6 +197,7 @@ def joint_volumes(joints: tuple[Joint, ...]) -> list[Distance]:
     def cone(start, end, start_radius, end_radius):
         return lambda p: round_cone(p, start, end, start_radius, end_radius)
 
+    ahead = np.array([0.0, 0.0, 1.0])
     volumes: dict[str, Distance] = {
         "Hips": lambda p: ellipsoid(p, (0, 94, -1), (16.0, 10.0, 12.0)),
         "Spine": lambda p: ellipsoid(p, (0, 109, 0), (13.0, 8.0, 10.0)),
@@ -216,13 +215,13 @@ def joint_volumes(joints: tuple[Joint, ...]) -> list[Distance]:
         tip = wrist + 18.0 * (wrist - elbow) / np.linalg.norm(wrist - elbow)
         volumes |= {
             side + "Clavicle": cone(np.array([5, 141, -2]) * flip, np.array([13, 140, -2]) * flip, 5.0, 5.6),
-            side + "UpperArm": cone(shoulder + (1.5 * sign, -1.5, 0), elbow, 5.2, 4.0),
+            side + "UpperArm": cone(shoulder + np.array([1.5 * sign, -1.5, 0.0]), elbow, 5.2, 4.0),
             side + "Forearm": cone(elbow, wrist, 4.0, 2.7),
             side + "Hand": cone(wrist, tip, 2.7, 3.0),
             side + "Thigh": cone(hip - (0, 3, 0), knee, 8.6, 5.5),
             side + "Shin": cone(knee, ankle, 5.5, 3.8),
             side + "Foot": cone(ankle - (0, 2.5, 1), ball - (0, 0, 2), 4.2, 3.8),
-            side + "Toe": cone(ball + (0, 0, 1), ball + (0, 0, 7), 3.8, 2.6),
+            side + "Toe": cone(ball + 1.0 * ahead, ball + 7.0 * ahead, 3.8, 2.6),
         }
     return [volumes[joint.name] for joint in joints]
 

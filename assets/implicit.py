@@ -37,6 +37,12 @@ def round_cone(points: np.ndarray, start, end, start_radius: float, end_radius: 
     return np.linalg.norm(points - nearest, axis=1) - (start_radius + along * (end_radius - start_radius))
 
 
+def rotation_z(angle: float) -> np.ndarray:
+    """(3, 3): turns -Y towards +X by `angle`."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 def blend(first: np.ndarray, second: np.ndarray, width: float) -> np.ndarray:
     """Smooth union: the minimum, rounded where the two differ by less than `width` (polynomial, C1)."""
     overlap = np.maximum(width - np.abs(first - second), 0.0) / width
@@ -68,7 +74,7 @@ def project(distance: Distance, points: np.ndarray, level: float | np.ndarray = 
 
 
 def sample_grid(distance: Distance, low: np.ndarray, cell: float, shape: tuple[int, int, int]) -> np.ndarray:
-    """Distances at the nodes of a grid; far from the surface the value at the middle of a coarse cell stands in."""
+    """Distances at the nodes of a grid; far from the surface a coarse cell's middle stands in for it."""
     coarse_shape = tuple(-(-n // COARSE) for n in shape)
     middles = np.stack(np.meshgrid(*(np.arange(n) for n in coarse_shape), indexing="ij"), axis=-1)
     middles = low + (middles.reshape(-1, 3) + 0.5 - 0.5 / COARSE) * cell * COARSE

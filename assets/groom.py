@@ -1,0 +1,177 @@
+"""The sample's groom: layered, slightly wavy hair to the shoulders, parted, lying outside the skin as modelled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plait.assets.character import body_distance, ear
+from plait.assets.implicit import gradient
+
+STRANDS = 640
+POINTS = 22
+STEP = 0.2  # [cm] strands are grown by
+FIRST = 0.8  # [cm] of the first segment, which leaves along the normal
+MIDDLE = np.array([0.0, 165.2, -1.2])  # of the head, as `character.head` has it
+CLEARANCE = 0.35  # [cm] least distance of a strand's points from the modelled surface
+SEED = 7
+
+
+@dataclass(frozen=True)
+class Groom:
+    """points (STRANDS, POINTS, 3) [cm]; roots: face (STRANDS,), and uv (STRANDS, 2), weights of corners 1 and 2."""
+
+    points: np.ndarray
+    face: np.ndarray
+    uv: np.ndarray
+
+
+def build(points: np.ndarray, triangles: np.ndarray) -> Groom:
+    """The groom on a skin of points (n, 3) [cm] and triangles (m, 3)."""
+    random = np.random.Generator(np.random.PCG64(SEED))
+    face, uv = scatter(points, triangles, random)
+    corners = points[triangles[face]]
+    weights = np.column_stack([1.0 - uv.sum(axis=1), uv])
+    roots = np.einsum("sk,skd->sd", weights, corners)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return Groom(grow(roots, normals, random), face, uv)
+
+
+def scatter(
+    points: np.ndarray, triangles: np.ndarray, random: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Faces and places on them, evenly apart: of many random places always the one farthest from those chosen."""
+    corners = points[triangles]
+    scalp = np.nonzero(is_scalp(corners.mean(axis=1)))[0]
+    edges = corners[scalp, 1:] - corners[scalp, :1]
+    area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    count = 16 * STRANDS
+    face = scalp[np.searchsorted(np.cumsum(area) / area.sum(), random.random(count))]
+    uv = random.random((count, 2))
+    uv = np.where(uv.sum(axis=1, keepdims=True) > 1.0, 1.0 - uv, uv)
+    uv = 0.02 + 0.94 * uv  # not on an edge
+    places = np.einsum("sk,skd->sd", np.column_stack([1.0 - uv.sum(axis=1), uv]), corners[face])
+    allowed = is_scalp(places)
+    face, uv, places = face[allowed], uv[allowed], places[allowed]
+    chosen = [int(np.argmax(places[:, 1]))]
+    far = np.linalg.norm(places - places[chosen[0]], axis=1)
+    while len(chosen) < STRANDS:
+        chosen.append(int(np.argmax(far)))
+        far = np.minimum(far, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    order = np.array(sorted(chosen, key=lambda k: (places[k, 1], k)))
+    return face[order], uv[order]
+
+
+def azimuth(points: np.ndarray) -> np.ndarray:
+    """Degrees around the head: 0 in front, 180 behind, the same on both sides."""
+    offset = points - MIDDLE
+    return np.degrees(np.arctan2(np.abs(offset[:, 0]), offset[:, 2]))
+
+
+HAIRLINE = np.array(  # azimuth [degrees], height [cm]
+    [(0, 170.4), (30, 170.0), (48, 168.6), (62, 166.6), (80, 165.2),
+     (100, 165.0), (122, 159.6), (150, 156.6), (180, 156.0)]
+)  # fmt: skip
+
+
+def is_scalp(points: np.ndarray) -> np.ndarray:
+    above = points[:, 1] > np.interp(azimuth(points), *HAIRLINE.T)
+    mirrored = np.column_stack([np.abs(points[:, 0]), points[:, 1:]])
+    return above & (ear(mirrored) > 0.5)
+
+
+def part_line(z: np.ndarray) -> np.ndarray:
+    """x of the parting, a little on the left, that runs back from the brow and ends at the crown."""
+    return 1.6 * np.clip((z + 5.0) / 6.0, 0.0, 1.0)
+
+
+def grow(roots: np.ndarray, normals: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """(STRANDS, POINTS, 3): from the root over the head towards its own place at ear height, then down."""
+    count = len(roots)
+    height = np.clip((roots[:, 1] - 156.0) / 18.0, 0.0, 1.0)
+    length = 20.6 + 8.2 * height + random.uniform(-0.5, 0.9, count)
+    lift = CLEARANCE + 0.15 + 1.1 * height**1.5 + random.uniform(0.0, 0.35, count)
+    side = np.where(roots[:, 0] > part_line(roots[:, 2]), 1.0, -1.0)
+    target = hanging_places(roots, side)
+    paths = [roots, roots + FIRST * normals]
+    direction = normals.copy()
+    for _ in range(int(np.ceil((length.max() - FIRST) / STEP)) + 8):
+        place = paths[-1]
+        wanted = towards(place, target)
+        direction = direction + 0.16 * wanted
+        direction /= np.linalg.norm(direction, axis=1)[:, None]
+        moved = outside(place + STEP * direction, lift)
+        direction = (moved - place) / np.linalg.norm(moved - place, axis=1)[:, None]
+        paths.append(moved)
+    grown = np.stack(paths, axis=1)
+    points = resample(grown, length)
+    return settle(wave(points, roots, normals), points)
+
+
+def hanging_places(roots: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """(n, 3) where each strand comes down: front hair beside the cheeks, the rest spread to the nape."""
+    angle = np.radians(84.0 + 92.0 * azimuth(roots) / 180.0)
+    return MIDDLE + np.column_stack(
+        [side * 10.4 * np.sin(angle), np.full(len(roots), -5.0), 2.0 + 12.5 * np.cos(angle)]
+    )
+
+
+def towards(places: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Unit vectors: to the target above its height, turning straight down near it."""
+    offset = target - places
+    above = np.clip(-offset[:, 1] / 6.0, 0.0, 1.0)[:, None]
+    sideways = offset * (1.0, 0.0, 1.0)
+    wanted = above * sideways / np.maximum(np.linalg.norm(sideways, axis=1), 3.0)[:, None]
+    wanted[:, 1] -= 0.75
+    return wanted / np.linalg.norm(wanted, axis=1)[:, None]
+
+
+def outside(points: np.ndarray, level: np.ndarray) -> np.ndarray:
+    """Points nearer to the body than `level` moved out along the distance's gradient."""
+    moved = points.copy()
+    for _ in range(2):
+        short = level - body_distance(moved)
+        inside = np.nonzero(short > 0.0)[0]
+        if not len(inside):
+            break
+        slope = gradient(body_distance, moved[inside])
+        slope /= np.linalg.norm(slope, axis=1)[:, None]
+        moved[inside] += slope * short[inside, None]
+    return moved
+
+
+def resample(grown: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """(n, POINTS, 3): the first segment, then equal ones, to each strand's length."""
+    step = np.linalg.norm(np.diff(grown, axis=1), axis=2)
+    along = np.concatenate([np.zeros((len(grown), 1)), np.cumsum(step, axis=1)], axis=1)
+    result = np.empty((len(grown), POINTS, 3))
+    for k in range(len(grown)):
+        wanted = np.concatenate([[0.0], np.linspace(FIRST, length[k], POINTS - 1)])
+        for axis in range(3):
+            result[k, :, axis] = np.interp(wanted, along[k], grown[k, :, axis])
+    return result
+
+
+def wave(points: np.ndarray, roots: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """A wave that grows towards the tip; neighbours share its phase, so that locks form."""
+    tangent = np.gradient(points, axis=1)
+    tangent /= np.linalg.norm(tangent, axis=2, keepdims=True)
+    away = points - (MIDDLE - (0.0, 4.0, 0.0))
+    away[..., 1] = 0.0
+    across = np.cross(tangent, away)
+    across /= np.linalg.norm(across, axis=2, keepdims=True)
+    phase = 2.2 * np.sin(0.55 * roots[:, 0] + 1.0) + 2.2 * np.sin(0.5 * roots[:, 2]) + 0.5 * roots[:, 1]
+    along = np.linspace(0.0, 1.0, POINTS)[None]
+    size = 0.42 * np.clip((along - 0.2) / 0.5, 0.0, 1.0) ** 1.5
+    return points + across * (size * np.sin(2.0 * np.pi * 3.3 * along + phase[:, None]))[..., None]
+
+
+def settle(waved: np.ndarray, straight: np.ndarray) -> np.ndarray:
+    """Where the wave would lead a strand too near the body, it is moved out again; the first segment is kept."""
+    free = waved[:, 2:].reshape(-1, 3)
+    result = waved.copy()
+    result[:, 2:] = outside(free, np.full(len(free), CLEARANCE)).reshape(len(waved), -1, 3)
+    result[:, :2] = straight[:, :2]
+    return result
