@@ -122,13 +122,16 @@ class Skeletons:
                 )
 
     def _check_targets(self, root: Usd.Prim) -> None:
-        """Raises InputError for a skeleton or animation that is asked for and not there."""
+        """Raises InputError for a skeleton that is not there, or a skeleton or animation that is none."""
         for prim in Usd.PrimRange(root, PREDICATE):
             for name, schema in (("skel:skeleton", UsdSkel.Skeleton), ("skel:animationSource", UsdSkel.Animation)):
                 relationship = prim.GetRelationship(name)
                 for target in relationship.GetTargets() if relationship else ():
                     found = self._source.stage.GetPrimAtPath(target)
-                    if not found or not found.IsA(schema):
+                    if not found and schema is UsdSkel.Animation:
+                        # An asset without its shot: harmless, and usual.
+                        self._source.warn(f"names <{target}>, which is not there; it stays at rest", prim, name)
+                    elif not found or not found.IsA(schema):
                         kind = "Skeleton" if schema is UsdSkel.Skeleton else "SkelAnimation"
                         raise self._source.error(
                             f"names <{target}>, which is no {kind}", prim, name, f"name a {kind} prim"

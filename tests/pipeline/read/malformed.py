@@ -299,7 +299,7 @@ CASES = (
         "skel:skeleton",
         ("rel skel:skeleton = </Body/Rig>", "rel skel:skeleton = </Body/Walk>"),
     ),
-    _case("animation_missing", RIG, "skel:animationSource", ("</Body/Walk>", "</Body/Gone>")),
+    _case("animation_of_wrong_type", RIG, "skel:animationSource", ("</Body/Walk>", "</Body/Skin>")),
     _case("bind_transforms_too_few", RIG, "bindTransforms", (_BIND, _ONE_BIND)),
     _case("joints_not_in_order", RIG, "joints", ('joints = ["Hip", "Hip/Head"]', 'joints = ["Hip/Head", "Hip"]')),
     _case("joint_index_too_large", SKIN, "primvars:skel:jointIndices", (_JOINTS, "[0, 7, 0, 1, 0, 1, 0, 1]")),

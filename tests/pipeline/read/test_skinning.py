@@ -226,6 +226,15 @@ def test_a_still_skeleton_is_not_animated(write) -> None:
     assert not _assert_follows_usdskel(write(text))[0].surface.motion.animated
 
 
+def test_an_asset_without_its_animation_stays_at_rest(write) -> None:
+    source = Source(
+        write(_rig().replace("rel skel:animationSource = </Body/Walk>", "rel skel:animationSource = </Gone>"))
+    )
+    skeletons = Skeletons(source)
+    assert not skeletons.find(source.stage.GetPrimAtPath("/Body/Group/Skin")).skeleton.animated
+    assert any("</Gone>" in line and "at rest" in line for line in source.warnings)
+
+
 def test_only_the_joints_used_are_posed(write) -> None:
     source = Source(write(_rig()))
     body = Bodies(source, Skeletons(source)).get(source.stage.GetPrimAtPath("/Body/Group/Skin"))
