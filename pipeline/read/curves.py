@@ -93,6 +93,13 @@ def sizes(prim: Usd.Prim, source: Source) -> dict[str, int]:
     return {"strands": len(counts or []), "points": int(np.sum(counts)) if counts else 0}
 
 
+def is_empty(prim: Usd.Prim, source: Source) -> bool:
+    """Whether neither counts nor points are there; one without the other is a mistake."""
+    schema = UsdGeom.Curves(prim)
+    attributes = schema.GetCurveVertexCountsAttr(), schema.GetPointsAttr()
+    return not any(attribute.Get(source.start) for attribute in attributes)
+
+
 def topology_change(source: Source, prim: Usd.Prim) -> float | None:
     """The first time code at which the counts differ from the first frame's; None if they never do."""
     attribute = UsdGeom.Curves(prim).GetCurveVertexCountsAttr()
@@ -210,8 +217,8 @@ def _to_points(source: Source, curves: Curves, name: str, interpolation: str, da
     # One value is meant for all, and one a point as such, whatever interpolation a writer left at its default.
     if len(data) != wanted.get(interpolation, -1):
         fitting = [key for key in ("constant", "vertex", "uniform") if wanted[key] == len(data)]
-        if not fitting or interpolation not in wanted:
-            needed = wanted.get(interpolation, "none")
+        needed = wanted.get(interpolation, "another kind of prim")
+        if not fitting:
             raise source.error(
                 f"has {len(data)} values, interpolation {interpolation} needs {needed}",
                 curves.prim,
@@ -219,8 +226,7 @@ def _to_points(source: Source, curves: Curves, name: str, interpolation: str, da
                 "author a value for each, or one with interpolation constant",
             )
         source.warn(
-            f"has {len(data)} values, interpolation {interpolation} needs {wanted[interpolation]}; "
-            f"taken as {fitting[0]}",
+            f"has {len(data)} values, interpolation {interpolation} needs {needed}; taken as {fitting[0]}",
             curves.prim,
             name,
         )

@@ -199,6 +199,8 @@ class _Assignment:
             )
             return Role(prim, SKIPPED, "no role", reason, authored=False)
         reason = hidden or curves.refusal(prim) or self._why_unwritable(prim)
+        if not reason and curves.is_empty(prim, self._source):
+            reason = "empty"
         change = None if reason else curves.topology_change(self._source, prim)
         if change is not None:
             reason = f"curveVertexCounts change at time code {change:g}"
@@ -208,7 +210,8 @@ class _Assignment:
 
     def _why_hidden(self, prim: Usd.Prim) -> str:
         image = UsdGeom.Imageable(prim)
-        if image.ComputeVisibility(self._source.start) == UsdGeom.Tokens.invisible:
+        invisible = image.ComputeVisibility(self._source.start) == UsdGeom.Tokens.invisible
+        if invisible and not _visibility_varies(prim):
             return "invisible"
         purpose = image.ComputePurpose()
         if purpose == UsdGeom.Tokens.proxy or (purpose == UsdGeom.Tokens.guide and not prim.IsA(UsdGeom.Curves)):
@@ -242,6 +245,15 @@ class _Assignment:
 
 def _is_geometry(prim: Usd.Prim) -> bool:
     return prim.IsA(UsdGeom.Gprim)
+
+
+def _visibility_varies(prim: Usd.Prim) -> bool:
+    while prim and not prim.IsPseudoRoot():
+        image = UsdGeom.Imageable(prim)
+        if image and image.GetVisibilityAttr().ValueMightBeTimeVarying():
+            return True
+        prim = prim.GetParent()
+    return False
 
 
 def _under_instancer(prim: Usd.Prim) -> bool:

@@ -151,14 +151,9 @@ class _Search:
             holding = [found for found in tried if found.share >= AGREEMENT]
             if holding:
                 return min(holding, key=_misfit)
-            if tried:
-                best = max(tried, key=lambda found: found.share)
-                self.source.warn(
-                    f"agrees with the drawn roots for {best.share:.0%} of the strands at best, on "
-                    f"{best.body.path}; not used",
-                    self.curves.prim,
-                    label,
-                )
+            best = max(tried, key=lambda found: found.share, default=None)
+            where = f"for {best.share:.0%} of the strands at best, on {best.body.path}" if best else "on no mesh"
+            self.source.warn(f"agrees with the drawn roots {where}; not used", self.curves.prim, label)
         return None
 
     def by_distance(self, left: np.ndarray) -> list[_Found]:
@@ -222,7 +217,9 @@ def _misfit(found: _Found) -> float:
 
 
 def drawings(source: Source, curves: Curves, binding: SkeletonBinding | None, body: Body) -> Iterator[Drawing]:
-    """The ways in which the groom may lie beside this skin, likeliest first."""
+    """The ways in which the groom may lie beside this skin, likeliest first; none if it is scaled to nothing."""
+    if not _regular(body.rest_to_world):
+        return
     rest = body.surface.points
     world = _own_to_world(source, curves, binding)
     same_skeleton = (
@@ -233,7 +230,7 @@ def drawings(source: Source, curves: Curves, binding: SkeletonBinding | None, bo
         anchor = Anchor.of(binding.skeleton.placement, source)
         beside = skinned_to_rest(source, binding, anchor)
     else:
-        beside = np.linalg.solve(body.rest_to_world, world) if _regular(body.rest_to_world) else body.own_to_rest
+        beside = np.linalg.solve(body.rest_to_world, world)
     yield Drawing("drawn beside its rest shape", beside, rest, body.rest_to_world, False)
     given = [beside]
     for label, to_rest in (

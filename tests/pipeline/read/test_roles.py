@@ -141,6 +141,16 @@ def test_skipped_curves_are_told_of_once_a_reason(read) -> None:
     assert [w for w in shot.warnings if "not simulated (and 1 more): invisible" in w and "</Hair>" in w]
 
 
+def test_what_appears_later_takes_part(read) -> None:
+    appears = 'token visibility.timeSamples = { 1: "invisible", 3: "inherited" }'
+    assert _roles(read(_hair("", appears)))["/Hair"] == "strands"
+
+
+def test_empty_curves_are_skipped(read) -> None:
+    prim = read('def BasisCurves "Hair" {}\n').prims[0]
+    assert (prim.role, prim.reason) == ("skipped", "empty")
+
+
 def test_an_inactive_prim_is_not_there(read) -> None:
     assert read(_hair("active = false")).prims == ()
 

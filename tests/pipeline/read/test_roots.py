@@ -276,6 +276,16 @@ def test_on_two_skins_and_on_none(read) -> None:
     assert surfaces == {"/Body/Skin": True, "/Body/Other": True, "/Hair (roots)": False}
 
 
+def test_nothing_grows_on_a_mesh_scaled_to_nothing(read) -> None:
+    gone = """float3 xformOp:scale = (0, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:scale"]
+        int[] faceVertexCounts"""
+    head = _skin("Head").replace(
+        '    def Mesh "Head" (prepend apiSchemas = ["SkelBindingAPI"])', 'def Mesh "Head"'
+    )
+    assert "no skin near" in _how(read(head.replace("int[] faceVertexCounts", gone) + _hair(ROOTS)))
+
+
 def test_a_mesh_without_a_role_that_hair_grows_on_collides(read) -> None:
     head = _skin("Head").replace(
         '    def Mesh "Head" (prepend apiSchemas = ["SkelBindingAPI"])', 'def Mesh "Head"'
