@@ -1,0 +1,1 @@
+"""What `plait preview` draws with: what a stage shows, its colours, cameras, and the canvas."""
