@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from plait.solver.contact.geometry_kernels import Groups, bound_groups
-from plait.solver.contact.surface_kernels import Bodies
+from plait.solver.contact.meeting_kernels import Bodies
 from plait.solver.kinematics.colliders import Collider
 from plait.solver.kinematics.stage import KinematicsStage
 from plait.solver.launch import Launcher

@@ -5,13 +5,14 @@ from __future__ import annotations
 import warp as wp
 
 from plait.solver.contact.geometry_kernels import ONE, ZERO, closest_point, get_triangle, interpolate
-from plait.solver.contact.surface_kernels import (
+from plait.solver.contact.meeting_kernels import (
     PRESCRIBED,
     TWO,
     Bodies,
     ContactNodes,
     box_gap,
     is_rim,
+    stem_inside,
     strand_box,
     to_float,
 )
@@ -107,7 +108,7 @@ def note_drawn(
             since = ZERO
             if outside:
                 in_stem = False
-                if nodes.clearance[i] >= ZERO:
+                if height < asked and nodes.clearance[i] >= ZERO:
                     nodes.clearance[i] = wp.min(nodes.clearance[i], height)
             elif in_stem and arc <= TWO * root_depth:
                 nodes.clearance[i] = -ONE
@@ -148,13 +149,20 @@ def find_inside(
     deepest = ZERO
     for body in range(bodies.count):
         keeps_out = bodies.solid[body] == 1 or bodies.surface[body] == nodes.surface[strand]
+        stem = -ONE
         if keeps_out and box_gap(box.lower, box.upper, bodies.lower[body], bodies.upper[body]) <= ZERO:
+            full = box.radius + bodies.thickness[body]
+            stem = stem_inside(bodies, body, keeps_out, nodes, strand, position[root], full)
+        if stem >= ZERO:
+            arc = ZERO
             outside = wp.bool(False)
             known = wp.float64(FAR)
             since = ZERO
             for i in range(root + 1, nodes.first_node[strand + 1]):
-                since += wp.length(position[i] - position[i - 1])
-                if nodes.clearance[i] >= ZERO and (not outside or known <= since):
+                step = wp.length(position[i] - position[i - 1])
+                arc += step
+                since += step
+                if nodes.clearance[i] >= ZERO and arc > stem and (not outside or known <= since):
                     x = position[i]
                     reach = float(known + since) * 1.001 + 1.0e-5
                     query = wp.mesh_query_point_sign_normal(bodies.mesh_end[body], to_float(x), reach)

@@ -9,8 +9,10 @@ import warp as wp
 
 from plait.solver.contact.bodies import BodyTable
 from plait.solver.contact.inside_kernels import find_inside, measure_roots, note_drawn
+from plait.solver.contact.meeting_kernels import UNBOUNDED, ContactNodes
 from plait.solver.contact.planes import PLANES_A_NODE, ContactPlanes, allocate_planes
-from plait.solver.contact.surface_kernels import UNBOUNDED, ContactNodes, Memory, find_planes, project_out
+from plait.solver.contact.search_kernels import Memory
+from plait.solver.contact.surface_kernels import find_planes, project_out
 from plait.solver.kinematics.colliders import Collider
 from plait.solver.model import Interval, Model
 from plait.solver.state import State
@@ -63,6 +65,7 @@ class SurfaceContact:
         nodes.clearance = wp.full(node_count, UNBOUNDED, dtype=wp.float64, device=device)
         nodes.friction = wp.array(friction, dtype=wp.float64, device=device)
         nodes.surface = wp.array(np.concatenate(grown_on), dtype=wp.int32, device=device)
+        nodes.length = wp.array(_lengths(position.numpy(), first_node), dtype=wp.float64, device=device)
         self._nodes = nodes
         self._work = max(1, node_count // self.count)
         self.planes: ContactPlanes = allocate_planes(node_count, device)
@@ -170,10 +173,7 @@ class SurfaceContact:
         """Fills clearances and depths against every surface in reach that has an inside."""
         x = position.numpy()
         lower, upper = (f.reduceat(x, first_node[:-1]) for f in (np.minimum, np.maximum))
-        arc = np.linalg.norm(np.diff(x, axis=0, append=x[-1:]), axis=1)
-        arc[first_node[1:] - 1] = 0.0
-        arc[first_node[:-1]] = 0.0
-        length = np.add.reduceat(arc, first_node[:-1])
+        length = self._nodes.length.numpy()
         grown_on = self._nodes.surface.numpy()
         device = self._launcher.device
         for body, (collider, box) in enumerate(
@@ -197,3 +197,11 @@ class SurfaceContact:
     def _winding_tree(self, collider: Collider) -> wp.Mesh:
         mesh = collider.meshes[self._kinematics.end]
         return wp.Mesh(wp.clone(mesh.points), mesh.indices, support_winding_number=True)
+
+
+def _lengths(position: np.ndarray, first_node: np.ndarray) -> np.ndarray:
+    """(strand_count,) [m] from root to tip."""
+    segments = np.linalg.norm(np.diff(position, axis=0, append=position[-1:]), axis=1)
+    segments[first_node[:-1]] = 0.0
+    segments[first_node[1:] - 1] = 0.0
+    return np.add.reduceat(segments, first_node[:-1])
