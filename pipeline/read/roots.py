@@ -28,6 +28,8 @@ REACH_OF_LENGTH = 0.25
 REACH_OF_TRIANGLE = 0.5
 # A convention holds if this part of the strands agrees with it.
 AGREEMENT = 0.9
+# Of its median distance from the places named, what another drawing may have at most to be taken instead.
+CLEARLY_NEARER = 0.5
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,7 @@ class _Search:
             ]
             holding = [found for found in tried if found.share >= AGREEMENT]
             if holding:
-                return min(holding, key=_misfit)
+                return _best(holding)
             best = max(tried, key=lambda found: found.share, default=None)
             where = f"for {best.share:.0%} of the strands at best, on {best.body.path}" if best else "on no mesh"
             self.source.warn(f"agrees with the drawn roots {where}; not used", self.curves.prim, label)
@@ -174,7 +176,8 @@ class _Search:
                 named[left] = True
                 found.append(self._measure(body, drawing, triangle, barycentric, named, "closest point"))
             if found:
-                tried.append(max(found, key=lambda way: (way.share, -_misfit(way))))
+                share = max(way.share for way in found)
+                tried.append(_best([way for way in found if way.share >= AGREEMENT * share]))
         if not tried:
             return []
         winner = np.argmin([np.where(found.agrees, found.distance, np.inf) for found in tried], axis=0)
@@ -208,6 +211,16 @@ class _Search:
         return _Found(body, drawing, triangle, barycentric, distance, agrees, how)
 
 
+def _best(ways: list[_Found]) -> _Found:
+    """The nearest; but a drawing less likely than another must be clearly nearer."""
+    best = ways[0]
+    for way in ways[1:]:
+        factor = 1.0 if way.drawing.label == best.drawing.label else CLEARLY_NEARER
+        if _misfit(way) < factor * _misfit(best):
+            best = way
+    return best
+
+
 def _misfit(found: _Found) -> float:
     distances = found.distance[found.agrees]
     if not len(distances):
@@ -232,6 +245,8 @@ def drawings(source: Source, curves: Curves, binding: SkeletonBinding | None, bo
     else:
         beside = np.linalg.solve(body.rest_to_world, world)
     yield Drawing("drawn beside its rest shape", beside, rest, body.rest_to_world, False)
+    if binding is not None and binding.query.HasJointInfluences():
+        return  # UsdSkel itself says where skinned curves are drawn.
     given = [beside]
     for label, to_rest in (
         ("drawn in the skeleton's coordinates", body.bind_to_rest),
@@ -240,7 +255,7 @@ def drawings(source: Source, curves: Curves, binding: SkeletonBinding | None, bo
         if not any(np.allclose(to_rest, other, rtol=1e-6, atol=1e-9) for other in given):
             given.append(to_rest)
             yield Drawing(label, to_rest, rest, body.rest_to_world, False)
-    if body.deforms and binding is None:
+    if body.deforms:
         yield Drawing("drawn in the pose of the first frame", world, body.posed, np.eye(4), True)
 
 
