@@ -18,10 +18,21 @@ from plait.assets.implicit import (
     round_cone,
     simplify,
 )
+from plait.assets.paint import split_along
 
 TRIANGLES = 13000
 INFLUENCES = 4
 ARM_ANGLE = np.radians(36.0)  # of the arms from the vertical, as modelled
+
+
+HEAD_MIDDLE = np.array([0.0, 165.2, -1.2])
+HAIRLINE = np.array(  # azimuth [degrees], height [cm]
+    [(0, 170.4), (30, 170.0), (48, 168.6), (62, 166.6), (80, 165.2),
+     (100, 165.0), (122, 159.6), (150, 156.6), (180, 156.0)]
+)  # fmt: skip
+SCALP = (0.12, 0.06, 0.035)  # shadowed by hair that is too thin to be drawn
+SKIN, LIPS = (0.55, 0.31, 0.22), (0.42, 0.17, 0.14)
+SWEATER, TROUSERS, BOOTS = (0.08, 0.20, 0.24), (0.035, 0.04, 0.06), (0.13, 0.06, 0.03)
 
 
 @dataclass(frozen=True)
@@ -85,6 +96,8 @@ def build() -> Character:
     """The whole character, the same every time."""
     joints = skeleton()
     points, triangles = skin()
+    for border in (collar, cuff, waist, boots, lips, scalp):
+        points, triangles = split_along(border, points, triangles)
     indices, weights = blended_weights(points, triangles, joints)
     return Character(joints, points, triangles, indices, weights, colours(points[triangles].mean(axis=1)))
 
@@ -136,7 +149,7 @@ def neck(p: np.ndarray) -> np.ndarray:
 
 
 def head(p: np.ndarray) -> np.ndarray:
-    d = ellipsoid(p, (0, 165.2, -1.2), (7.5, 9.4, 9.6))
+    d = ellipsoid(p, HEAD_MIDDLE, (7.5, 9.4, 9.6))
     d = blend(d, ellipsoid(p, (0, 160.4, 2.4), (6.2, 8.4, 6.9)), 3.0)
     d = blend(d, round_cone(p, (4.2, 156.8, 1.6), (0.8, 153.8, 6.9), 2.2, 1.9), 2.4)
     d = blend(d, ellipsoid(p, (3.7, 159.2, 5.6), (2.6, 2.4, 2.8)), 2.4)
@@ -242,22 +255,51 @@ def blended_weights(
     return order.astype(np.int32), kept / kept.sum(axis=1, keepdims=True)
 
 
-SKIN, LIPS = (0.55, 0.31, 0.22), (0.45, 0.16, 0.14)
-SWEATER, TROUSERS, BOOTS = (0.08, 0.20, 0.24), (0.035, 0.04, 0.06), (0.13, 0.06, 0.03)
+def collar(p: np.ndarray) -> np.ndarray:
+    """Negative below a neckline lower in front."""
+    return p[:, 1] - 138.5 - np.hypot(p[:, 0], p[:, 2] + 2.0) + 0.4 * (p[:, 2] + 2.0)
 
 
-def colours(points: np.ndarray) -> np.ndarray:
+def cuff(p: np.ndarray) -> np.ndarray:
+    """Negative above the wrists."""
+    joints = {joint.name: joint.place for joint in skeleton()}
+    wrist, elbow = joints["LeftHand"], joints["LeftForearm"]
+    mirrored = np.column_stack([np.abs(p[:, 0]), p[:, 1:]])
+    along = (mirrored - wrist) @ (wrist - elbow) / np.linalg.norm(wrist - elbow)
+    return np.where(mirrored[:, 0] > 22.0, along + 0.5, -20.0)
+
+
+def waist(p: np.ndarray) -> np.ndarray:
+    """Negative below; the hands do not count."""
+    return np.where(np.abs(p[:, 0]) > 22.0, 20.0, p[:, 1] - 96.0)
+
+
+def boots(p: np.ndarray) -> np.ndarray:
+    return p[:, 1] - 17.0
+
+
+def lips(p: np.ndarray) -> np.ndarray:
+    return np.where(p[:, 2] > 7.0, np.hypot(p[:, 0] / 2.0, (p[:, 1] - 156.2) / 0.95) - 1.0, 1.0)
+
+
+def azimuth(points: np.ndarray) -> np.ndarray:
+    """Degrees around the head: 0 in front, 180 behind, the same on both sides."""
+    offset = points - HEAD_MIDDLE
+    return np.degrees(np.arctan2(np.abs(offset[:, 0]), offset[:, 2]))
+
+
+def scalp(p: np.ndarray) -> np.ndarray:
+    """Negative where hair grows: above the hairline, not on the ears."""
+    mirrored = np.column_stack([np.abs(p[:, 0]), p[:, 1:]])
+    return np.maximum(np.interp(azimuth(p), *HAIRLINE.T) - p[:, 1], 0.5 - ear(mirrored))
+
+
+def colours(p: np.ndarray) -> np.ndarray:
     """(n, 3) linear RGB: clothes are painted on."""
-    result = np.tile(SKIN, (len(points), 1))
-    x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
-    wrist = next(joint.place for joint in skeleton() if joint.name == "LeftHand")
-    sleeve = y > wrist[1] + 2.0 + (x - wrist[0]) * 0.7
-    collar = y + 0.35 * (z + 2.0) < 145.5
-    arm_or_trunk = (x > 22.0) & (y > 70.0)
-    clothed = collar & np.where(arm_or_trunk, sleeve, True)
-    result[clothed] = SWEATER
-    result[~arm_or_trunk & (y < 96.0)] = TROUSERS
-    result[y < 17.0] = BOOTS
-    lips = (y > 155.1) & (y < 157.3) & (x < 2.1) & (z > 8.4)
-    result[lips] = LIPS
+    result = np.tile(SKIN, (len(p), 1))
+    result[(collar(p) < 0.0) & (cuff(p) < 0.0)] = SWEATER
+    result[waist(p) < 0.0] = TROUSERS
+    result[boots(p) < 0.0] = BOOTS
+    result[lips(p) < 0.0] = LIPS
+    result[scalp(p) < 0.0] = SCALP
     return result

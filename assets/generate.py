@@ -24,9 +24,9 @@ LAST_FRAME = FIRST_FRAME + walk.DURATION * RATE
 SAMPLES_PER_FRAME = 2  # of the animation: substeps see its curvature
 # [cm] A strand stands for a lock: thicker and so stiffer for its weight than one hair of 0.008 cm; it is drawn as
 # wide as a lock looks.
-THICKNESS = 0.016
+THICKNESS = 0.025
 DRAWN_ROOT, DRAWN_TIP = 0.11, 0.05
-DAMPING = 3.0  # [1/s] air, and the neighbours it rubs against
+DAMPING = 4.0  # [1/s] air, and the neighbours it rubs against
 
 WORLD = Sdf.Path("/World")
 BODY = WORLD.AppendChild("Character")
@@ -230,6 +230,22 @@ def author_shot(stage: Usd.Stage) -> None:
     UsdPhysics.CollisionAPI.Apply(ground.GetPrim())
     UsdPhysics.Scene.Define(stage, WORLD.AppendChild("Physics"))
     author_material(stage)
+    author_camera(stage)
+
+
+def author_camera(stage: Usd.Stage) -> None:
+    """Goes along beside the character, before it."""
+    camera = UsdGeom.Camera.Define(stage, WORLD.AppendChild("Camera"))
+    camera.CreateFocalLengthAttr(46.0)
+    camera.CreateHorizontalApertureAttr(24.0)
+    camera.CreateVerticalApertureAttr(30.0)
+    camera.CreateClippingRangeAttr(Gf.Vec2f(1.0, 5000.0))
+    transform = camera.AddTransformOp()
+    for code in np.arange(FIRST_FRAME, LAST_FRAME + 1e-6):
+        along = 118.0 * walk.smooth(np.array([(code - FIRST_FRAME) / RATE]), 0.0, 2.2)[0]
+        eye = Gf.Vec3d(190.0, 125.0, 250.0 + round(float(along), DIGITS))
+        look = Gf.Matrix4d().SetLookAt(eye, eye - Gf.Vec3d(190.0, 33.0, 250.0), Gf.Vec3d.YAxis())
+        transform.Set(look.GetInverse(), code)
 
 
 def author_material(stage: Usd.Stage) -> None:

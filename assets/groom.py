@@ -6,21 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plait.assets.character import body_distance, ear
+from plait.assets.character import HEAD_MIDDLE, azimuth, body_distance, scalp
 from plait.assets.implicit import gradient
 
 STRANDS = 640
 POINTS = 22
 STEP = 0.2  # [cm] strands are grown by
 FIRST = 0.8  # [cm] of the first segment, which leaves along the normal
-MIDDLE = np.array([0.0, 165.2, -1.2])  # of the head, as `character.head` has it
 CLEARANCE = 0.35  # [cm] least distance of a strand's points from the modelled surface
 SEED = 7
 
 
 @dataclass(frozen=True)
 class Groom:
-    """points (STRANDS, POINTS, 3) [cm]; roots: face (STRANDS,), and uv (STRANDS, 2), weights of corners 1 and 2."""
+    """points (STRANDS, POINTS, 3) [cm]; roots: face (STRANDS,), uv (STRANDS, 2), weights of corners 1 and 2."""
 
     points: np.ndarray
     face: np.ndarray
@@ -44,16 +43,16 @@ def scatter(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Faces and places on them, evenly apart: of many random places always the one farthest from those chosen."""
     corners = points[triangles]
-    scalp = np.nonzero(is_scalp(corners.mean(axis=1)))[0]
-    edges = corners[scalp, 1:] - corners[scalp, :1]
+    on_scalp = np.nonzero(scalp(corners.mean(axis=1)) < 0.0)[0]
+    edges = corners[on_scalp, 1:] - corners[on_scalp, :1]
     area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     count = 16 * STRANDS
-    face = scalp[np.searchsorted(np.cumsum(area) / area.sum(), random.random(count))]
+    face = on_scalp[np.searchsorted(np.cumsum(area) / area.sum(), random.random(count))]
     uv = random.random((count, 2))
     uv = np.where(uv.sum(axis=1, keepdims=True) > 1.0, 1.0 - uv, uv)
     uv = 0.02 + 0.94 * uv  # not on an edge
     places = np.einsum("sk,skd->sd", np.column_stack([1.0 - uv.sum(axis=1), uv]), corners[face])
-    allowed = is_scalp(places)
+    allowed = scalp(places) < 0.0
     face, uv, places = face[allowed], uv[allowed], places[allowed]
     chosen = [int(np.argmax(places[:, 1]))]
     far = np.linalg.norm(places - places[chosen[0]], axis=1)
@@ -62,24 +61,6 @@ def scatter(
         far = np.minimum(far, np.linalg.norm(places - places[chosen[-1]], axis=1))
     order = np.array(sorted(chosen, key=lambda k: (places[k, 1], k)))
     return face[order], uv[order]
-
-
-def azimuth(points: np.ndarray) -> np.ndarray:
-    """Degrees around the head: 0 in front, 180 behind, the same on both sides."""
-    offset = points - MIDDLE
-    return np.degrees(np.arctan2(np.abs(offset[:, 0]), offset[:, 2]))
-
-
-HAIRLINE = np.array(  # azimuth [degrees], height [cm]
-    [(0, 170.4), (30, 170.0), (48, 168.6), (62, 166.6), (80, 165.2),
-     (100, 165.0), (122, 159.6), (150, 156.6), (180, 156.0)]
-)  # fmt: skip
-
-
-def is_scalp(points: np.ndarray) -> np.ndarray:
-    above = points[:, 1] > np.interp(azimuth(points), *HAIRLINE.T)
-    mirrored = np.column_stack([np.abs(points[:, 0]), points[:, 1:]])
-    return above & (ear(mirrored) > 0.5)
 
 
 def part_line(z: np.ndarray) -> np.ndarray:
@@ -111,9 +92,14 @@ def grow(roots: np.ndarray, normals: np.ndarray, random: np.random.Generator) ->
 
 
 def hanging_places(roots: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """(n, 3) where each strand comes down: front hair beside the cheeks, the rest spread to the nape."""
-    angle = np.radians(84.0 + 92.0 * azimuth(roots) / 180.0)
-    return MIDDLE + np.column_stack(
+    """(n, 3) where each strand comes down: front hair beside the cheeks, the rest spread evenly to the nape."""
+    around = azimuth(roots)
+    rank = np.empty(len(roots))
+    for sign in (-1.0, 1.0):
+        own = np.nonzero(side == sign)[0]
+        rank[own[np.argsort(around[own], kind="stable")]] = np.linspace(0.0, 1.0, len(own))
+    angle = np.radians(84.0 + 94.0 * rank)
+    return HEAD_MIDDLE + np.column_stack(
         [side * 10.4 * np.sin(angle), np.full(len(roots), -5.0), 2.0 + 12.5 * np.cos(angle)]
     )
 
@@ -158,7 +144,7 @@ def wave(points: np.ndarray, roots: np.ndarray, normals: np.ndarray) -> np.ndarr
     """A wave that grows towards the tip; neighbours share its phase, so that locks form."""
     tangent = np.gradient(points, axis=1)
     tangent /= np.linalg.norm(tangent, axis=2, keepdims=True)
-    away = points - (MIDDLE - (0.0, 4.0, 0.0))
+    away = points - (HEAD_MIDDLE - (0.0, 4.0, 0.0))
     away[..., 1] = 0.0
     across = np.cross(tangent, away)
     across /= np.linalg.norm(across, axis=2, keepdims=True)
