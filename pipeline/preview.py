@@ -91,6 +91,8 @@ class _Stage:
                 file=path,
             )
 
+        self.grounds = framing.grounds(self.drawables, self.middle)
+
     @property
     def codes(self) -> tuple[float, ...]:
         """Every frame of the stage's range; of a result, of the part of it that was simulated."""
@@ -112,11 +114,10 @@ class _Stage:
     def view(self, codes: Sequence[float], aspect: float) -> framing.View:
         """One that holds all but grounds at `codes`, of long ranges at some of them."""
         some = sorted({codes[round(i)] for i in np.linspace(0, len(codes) - 1, min(FRAMED, len(codes)))})
-        grounds = framing.grounds(self.drawables, some[0])
         seen: list[np.ndarray] = []
         for code in some:
             for drawable in self.drawables:
-                if str(drawable.prim.GetPath()) in grounds or not drawable.visible(code):
+                if drawable in self.grounds or not drawable.visible(code):
                     continue
                 if code == some[0] or drawable.animated:
                     points = drawable.points(code)
@@ -142,14 +143,13 @@ def _pictures(shown: _Stage, codes: Sequence[float], size: tuple[int, int], came
     from PIL import Image
 
     aspect = size[0] / size[1]
-    if camera is None:
-        held = shown.view(codes, aspect)
-    else:
-        framing.through(shown.source, camera, codes[0], aspect)
-    paper = canvas.Canvas(size, shown.drawables)
+    source = shown.source
+    first = framing.through(source, camera, codes[0], aspect) if camera else shown.view(codes, aspect)
+    ground = framing.level(shown.grounds, source.info.up_axis)
+    paper = canvas.Canvas(size, shown.drawables, ground, first.axes)
     try:
         for code in codes:
-            view = held if camera is None else framing.through(shown.source, camera, code, aspect)
+            view = framing.through(source, camera, code, aspect) if camera else first
             picture = Image.fromarray(paper.draw(code, view))
             _number(picture, code)
             yield picture

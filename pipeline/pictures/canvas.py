@@ -12,15 +12,17 @@ import numpy as np
 
 from plait.pipeline.errors import PlaitError
 from plait.pipeline.pictures.colours import to_bytes
+from plait.pipeline.pictures.creases import Creased
 from plait.pipeline.pictures.curves import shade
 from plait.pipeline.pictures.drawables import Dots, Drawable, Lines, Shell
 from plait.pipeline.pictures.framing import View
 
 FINER = 2  # drawn this much larger and averaged down: smooth edges, hair finer than a pixel
-CREASE = 50.0  # degrees between faces at which a surface is no longer shaded as smooth
 KEY, FILL, RIM = (-0.55, 0.75, 0.75), (0.85, 0.15, 0.55), (0.35, 0.65, -0.85)  # towards the lights, view axes
 LIGHTS = ((KEY, 0.78, (1.0, 0.98, 0.95)), (FILL, 0.42, (0.88, 0.93, 1.0)), (RIM, 0.32, (1.0, 1.0, 1.0)))
 MATTER = {"ambient": 0.24, "diffuse": 0.9, "specular": 0.08, "specular_power": 25.0}
+THINNEST = 1.5  # pixels, before they are averaged, of a line
+SKY = 0.5  # of the key light comes from around, and reaches into shadows
 SOLID = 3.0  # pixels from which a curve is drawn as a tube rather than a line
 BOTTOM, TOP = (0.80, 0.82, 0.85), (0.965, 0.97, 0.98)  # of the background
 # Without OpenGL VTK ends the process it runs in, so that it is asked in another one.
@@ -59,7 +61,10 @@ def probe() -> str:
 class Canvas:
     """One window, off screen, on which drawables are shown at one time code after another."""
 
-    def __init__(self, size: tuple[int, int], drawables: Sequence[Drawable]) -> None:
+    def __init__(
+        self, size: tuple[int, int], drawables: Sequence[Drawable], ground: Shell | None, axes: np.ndarray
+    ) -> None:
+        """ground: what shadows fall on, level.  axes: (3, 3) as `View.axes`, of the view the lights are set by."""
         probe()
         import pyvista
         from vtkmodules.vtkCommonCore import vtkLogger
@@ -70,11 +75,16 @@ class Canvas:
             off_screen=True, window_size=[FINER * side for side in size], lighting="none"
         )
         self._plotter.set_background(BOTTOM, top=TOP)
-        for place, intensity, colour in LIGHTS:
-            light = pyvista.Light(light_type="camera light", intensity=intensity, color=colour)
+        self._lights = [_unit(place) @ axes for place, _, _ in LIGHTS]
+        for place, (_, intensity, colour) in zip(self._lights, LIGHTS, strict=True):
+            light = pyvista.Light(light_type="scene light", intensity=intensity, color=colour)
+            light.positional = False
             light.position, light.focal_point = place, (0.0, 0.0, 0.0)
             self._plotter.add_light(light)
-        self._shown = [_Shown(self._plotter, drawable) for drawable in drawables]
+        self._shown = [_Shown(self._plotter, drawable, self._lights[0]) for drawable in drawables]
+        if ground is not None:
+            casting = [d for d in drawables if d is not ground and not isinstance(d, Dots)]
+            self._shown += [_Shadow(self._plotter, drawable, ground, self._lights) for drawable in casting]
 
     def draw(self, code: float, view: View) -> np.ndarray:
         """(height, width, 3) uint8."""
@@ -103,8 +113,8 @@ class Canvas:
 class _Shown:
     """A drawable's actor, made when it is first visible."""
 
-    def __init__(self, plotter: Any, drawable: Drawable) -> None:
-        self._plotter, self._drawable = plotter, drawable
+    def __init__(self, plotter: Any, drawable: Drawable, to_light: np.ndarray) -> None:
+        self._plotter, self._drawable, self._to_light = plotter, drawable, to_light
         self._actor: Any = None
         self._mesh: Any = None
 
@@ -123,11 +133,22 @@ class _Shown:
 
     def _update_shell(self, shell: Shell, points: np.ndarray, code: float) -> None:
         if self._actor is None:
-            self._surface = _Surface(shell, points, code)
-            self._mesh, self._actor = self._surface.add_to(self._plotter)
+            self._creased = Creased(shell, points, code)
+            self._mesh, self._actor = self._add_shell(*self._creased.placed(points))
         elif shell.animated:
-            self._mesh.points[:], self._mesh.point_data["Normals"][:] = self._surface.placed(points)
+            self._mesh.points[:], self._mesh.point_data["Normals"][:] = self._creased.placed(points)
             self._mesh.Modified()
+
+    def _add_shell(self, points: np.ndarray, normals: np.ndarray) -> tuple[Any, Any]:
+        import pyvista
+
+        mesh = pyvista.PolyData.from_regular_faces(points.astype(np.float32), self._creased.triangles)
+        mesh.point_data["rgb"] = self._creased.colours
+        mesh.point_data["Normals"] = normals.astype(np.float32)
+        mesh.point_data.active_normals_name = "Normals"
+        actor = self._plotter.add_mesh(mesh, scalars="rgb", rgb=True, render=False, reset_camera=False, **MATTER)
+        actor.prop.interpolation = "Phong"
+        return mesh, actor
 
     def _update_fibres(
         self, fibres: Lines | Dots, points: np.ndarray, code: float, view: View, pixels_high: int
@@ -137,9 +158,8 @@ class _Shown:
         colour = fibres.point_colours(code)
         solid = isinstance(fibres, Lines) and pixels >= SOLID * FINER
         if isinstance(fibres, Lines) and not solid:
-            to_light = np.asarray(KEY) / np.linalg.norm(KEY) @ view.axes
-            colour = shade(points, fibres.counts, colour, to_light, view.axes[2])
-        mesh = _fibres(fibres, points, colour)
+            colour = shade(points, fibres.counts(code), colour, self._to_light, view.axes[2])
+        mesh = _fibres(fibres, points, colour, code)
         if solid:
             mesh = mesh.tube(radius=0.5 * width, n_sides=12, capping=True)
         if self._actor is None:
@@ -157,18 +177,70 @@ class _Shown:
             self._actor.prop.interpolation = "Phong"
         else:
             self._mesh.copy_from(mesh)
-        thinnest = 1.5 if isinstance(fibres, Lines) else 2.0 * FINER
+        thinnest = THINNEST if isinstance(fibres, Lines) else 2.0 * FINER
         self._actor.prop.line_width = self._actor.prop.point_size = max(pixels, thinnest)
 
 
-def _fibres(fibres: Lines | Dots, points: np.ndarray, colour: np.ndarray) -> Any:
+class _Shadow:
+    """What surfaces and curves keep of the key light from a level ground: their outline along that light."""
+
+    def __init__(self, plotter: Any, drawable: Shell | Lines, ground: Shell, lights: Sequence[np.ndarray]) -> None:
+        self._plotter, self._drawable, self._to_light = plotter, drawable, lights[0]
+        self._up, self._height = np.zeros(3), 0.0
+        code = ground.source.start
+        level = ground.points(code)
+        self._up[np.argmin(np.ptp(level, axis=0))] = 1.0
+        self._lift = 2e-4 * float(np.ptp(level, axis=0).max())  # so that the ground does not show through
+        self._height = float((level @ self._up).max())
+        rest = [
+            intensity * np.array(colour) * max(0.0, float(place @ self._up))
+            for place, (_, intensity, colour) in zip(lights, LIGHTS, strict=True)
+        ]
+        rest[0] = SKY * rest[0]
+        lit = MATTER["ambient"] + MATTER["diffuse"] * np.sum(rest, axis=0)
+        self._colour = to_bytes(ground.corner_colours(code)[0, :1])[0] / 255.0 * np.minimum(lit, 1.0)
+        self._mesh: Any = None
+
+    def update(self, code: float, view: View, pixels_high: int) -> None:
+        """Casts it as it is at `code`."""
+        import pyvista
+
+        visible = self._drawable.visible(code)
+        if self._mesh is not None:
+            self._actor.SetVisibility(visible)
+        if not visible or (self._mesh is not None and not self._drawable.animated):
+            return
+        points = self._drawable.points(code)
+        above = np.maximum(points @ self._up - self._height, 0.0) / float(self._to_light @ self._up)
+        cast = points - above[:, None] * self._to_light
+        cast += (self._height + self._lift - cast @ self._up)[:, None] * self._up
+        mesh = pyvista.PolyData(cast.astype(np.float32))
+        mesh.verts = np.zeros(0, np.int64)
+        if isinstance(self._drawable, Shell):
+            mesh.regular_faces = self._drawable.triangles
+        else:
+            mesh.lines = _polylines(self._drawable.counts(code))
+        if self._mesh is not None:
+            self._mesh.copy_from(mesh)
+            return
+        self._mesh = mesh
+        self._actor = self._plotter.add_mesh(
+            self._mesh, color=self._colour, lighting=False, line_width=THINNEST, render=False, reset_camera=False
+        )
+
+
+def _unit(vector: Sequence[float]) -> np.ndarray:
+    return np.asarray(vector) / np.linalg.norm(vector)
+
+
+def _fibres(fibres: Lines | Dots, points: np.ndarray, colour: np.ndarray, code: float) -> Any:
     """Lines or dots as VTK's cells, with their colours."""
     import pyvista
 
     mesh = pyvista.PolyData(points.astype(np.float32))
     if isinstance(fibres, Lines):
         mesh.verts = np.zeros(0, np.int64)
-        mesh.lines = _polylines(fibres.counts)
+        mesh.lines = _polylines(fibres.counts(code))
     mesh.point_data["rgb"] = to_bytes(colour)
     return mesh
 
@@ -179,84 +251,3 @@ def _polylines(counts: np.ndarray) -> np.ndarray:
     cells = np.arange(counts.sum() + len(counts)) - np.repeat(np.arange(len(counts)) + 1, counts + 1)
     cells[first] = counts
     return cells
-
-
-def _parted(points: np.ndarray, triangles: np.ndarray, crease: float) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (m, 3) into points that are parted where faces meet at more than `crease` degrees, and which of
-    `points` each of those is, (k,)."""
-    normal = np.cross(
-        points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]]
-    )
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-    starts, ends = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
-    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
-    order = np.lexsort((high, low))
-    same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
-    one, other = order[:-1][same], order[1:][same]  # half edges, 3 triangle + corner, that are one edge
-    smooth = np.sum(normal[one // 3] * normal[other // 3], axis=1) >= np.cos(np.radians(crease)) - 1e-9
-    one, other = one[smooth], other[smooth]
-    after = np.array([1, 2, 0])
-    along = starts[one] == starts[other]  # neighbours that wind alike run along their edge in opposite directions
-    begin, end = other, other // 3 * 3 + after[other % 3]
-    pairs = np.concatenate(
-        [
-            np.stack([one, np.where(along, begin, end)], axis=1),
-            np.stack([one // 3 * 3 + after[one % 3], np.where(along, end, begin)], axis=1),
-        ]
-    )
-    label = np.arange(3 * len(triangles))
-    while True:  # the least corner of all that are smoothly joined; as many rounds as a fan has triangles
-        lowest = label[pairs].min(axis=1)
-        if (label[pairs] == lowest[:, None]).all():
-            break
-        np.minimum.at(label, pairs[:, 0], lowest)
-        np.minimum.at(label, pairs[:, 1], lowest)
-        label = label[label]
-    kept, corners = np.unique(label, return_inverse=True)
-    return corners.reshape(-1, 3), triangles.ravel()[kept]
-
-
-class _Surface:
-    """A shell's topology for drawing: its points parted at creases and where colours change."""
-
-    def __init__(self, shell: Shell, points: np.ndarray, code: float) -> None:
-        triangles = shell.triangles
-        crease = 180.0 if shell.body.subdivided else CREASE
-        self._corners, self._origin = _parted(points, triangles, crease)
-        colours = to_bytes(shell.corner_colours(code).reshape(-1, 3)).astype(np.int64)
-        keys = self._corners.ravel() << 24 | (colours @ [1 << 16, 1 << 8, 1])
-        _, first, drawn = np.unique(keys, return_index=True, return_inverse=True)
-        self._parted = self._corners.ravel()[first]  # of each drawn point
-        self._triangles = drawn.reshape(-1, 3)
-        self._colours = colours[first].astype(np.uint8)
-        self._points = points
-
-    def placed(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(n, 3) points and normals to draw; a corner weighs in a normal by its triangle's area."""
-        parted = points[self._origin]
-        a, b, c = (parted[self._corners[:, k]] for k in range(3))
-        area = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-        normal = np.stack(
-            [np.bincount(self._corners.ravel(), area[:, k], minlength=len(parted)) for k in range(3)], axis=1
-        )
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-        return parted[self._parted], normal[self._parted]
-
-    def add_to(self, plotter: Any) -> tuple[Any, Any]:
-        import pyvista
-
-        points, normals = self.placed(self._points)
-        mesh = pyvista.PolyData.from_regular_faces(points.astype(np.float32), self._triangles)
-        mesh.point_data["rgb"] = self._colours
-        mesh.point_data["Normals"] = normals.astype(np.float32)
-        mesh.point_data.active_normals_name = "Normals"
-        actor = plotter.add_mesh(
-            mesh,
-            scalars="rgb",
-            rgb=True,
-            render=False,
-            reset_camera=False,
-            **MATTER,
-        )
-        actor.prop.interpolation = "Phong"
-        return mesh, actor

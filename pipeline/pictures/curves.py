@@ -109,8 +109,8 @@ def shade(
     sin_light, sin_eye = (np.sqrt(np.maximum(0.0, 1.0 - c * c)) for c in (cos_light, cos_eye))
     mirrored = np.maximum(0.0, sin_light * sin_eye - cos_light * cos_eye)
     light = light_through(points, counts, to_light)
-    diffuse = (0.30 + 0.95 * sin_light * light) * tone
-    highlight = light * (0.10 * mirrored**40 + 0.10 * mirrored**8)
+    diffuse = (0.22 + 0.85 * sin_light * light) * tone
+    highlight = light * (0.045 * mirrored**40 + 0.03 * mirrored**8)
     return colour * diffuse[:, None] + highlight[:, None] * (0.35 + 0.65 * colour / max(colour.max(), 1e-6))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from pxr import Usd, UsdGeom
@@ -54,21 +53,20 @@ class Shell(Drawable):
 
 @dataclass(frozen=True)
 class Lines(Drawable):
-    """Curves, already refined: `points` are those to draw, `counts` of them on each line."""
+    """Curves, already refined: `points` are those to draw."""
 
-    refined: Refinement
+    refined: Callable[[float], Refinement]
 
-    @cached_property
-    def counts(self) -> np.ndarray:
-        """(line_count,) of lines that have any."""
-        drawn = self.refined.drawn_counts
+    def counts(self, code: float) -> np.ndarray:
+        """(line_count,) points to draw of each line that has any."""
+        drawn = self.refined(code).drawn_counts
         return drawn[drawn > 0]
 
     def point_colours(self, code: float) -> np.ndarray:
         """(n, 3) linear RGB."""
-        counts = self.refined.counts
-        owner = np.repeat(np.arange(len(counts)), counts)
-        return self.refined(colours.of_points(self.prim, code, int(counts.sum()), owner))
+        refined = self.refined(code)
+        owner = np.repeat(np.arange(len(refined.counts)), refined.counts)
+        return refined(colours.of_points(self.prim, code, len(owner), owner))
 
     def width(self, code: float) -> float:
         """Typical diameter [m]; 0 where none is authored."""
@@ -124,41 +122,49 @@ def _drawable(source: Source, prim: Usd.Prim, bodies: Bodies, skeletons: Skeleto
                 body,
             )
     elif prim.IsA(UsdGeom.Curves):
-        counts = np.array(UsdGeom.Curves(prim).GetCurveVertexCountsAttr().Get(source.start) or [], np.int64)
-        points, animated = _points_of(source, prim, skeletons.find(prim), int(counts.sum()))
-        refined = refinement(prim, counts)
-        if refined.groups:
-            yield Lines(source, prim, lambda code: refined(points(code)), animated, refined)
+        yield _lines(source, prim, skeletons.find(prim))
     elif prim.IsA(UsdGeom.Points):
-        yield Dots(source, prim, *_points_of(source, prim, skeletons.find(prim), None))
+        yield Dots(source, prim, *_points_of(source, prim, skeletons.find(prim)))
 
 
-def _points_of(
-    source: Source, prim: Usd.Prim, binding: SkeletonBinding | None, count: int | None
-) -> tuple[Points, bool]:
-    """Where the points of curves or points are, skinned as UsdSkel does it, and whether they move.
+def _lines(source: Source, prim: Usd.Prim, binding: SkeletonBinding | None) -> Lines:
+    attribute = UsdGeom.Curves(prim).GetCurveVertexCountsAttr()
 
-    count: how many there must be; other numbers are an InputError.
-    """
+    def at(code: float) -> Refinement:
+        return refinement(prim, np.array(attribute.Get(code) or [], np.int64))
+
+    steady = None if attribute.ValueMightBeTimeVarying() else at(source.start)
+    refined = (lambda _: steady) if steady else at
+    points, animated = _points_of(source, prim, binding)
+
+    def drawn(code: float) -> np.ndarray:
+        authored, counts = points(code), refined(code).counts
+        if len(authored) != counts.sum():
+            raise source.error(f"has {len(authored)} at time code {code:g}, not {counts.sum()}", prim, "points")
+        return refined(code)(authored)
+
+    drawn(source.start)  # so that what cannot be drawn is known at once
+    return Lines(source, prim, drawn, animated or steady is None, refined)
+
+
+def _points_of(source: Source, prim: Usd.Prim, binding: SkeletonBinding | None) -> tuple[Points, bool]:
+    """Where the points of curves or points are, skinned as UsdSkel does it, and whether they move."""
     attribute, placement = UsdGeom.PointBased(prim).GetPointsAttr(), Placement(source, prim)
 
     def points(code: float) -> np.ndarray:
         held = attribute.Get(code)
-        number = 0 if held is None else len(held)
-        if count is not None and number != count:
-            raise source.error(f"has {number} points at time code {code:g}, not {count}", prim, "points")
+        if held is None or not len(held):
+            return np.zeros((0, 3))
         matrix = placement.matrix(code)
-        if number and binding is not None and binding.query.HasJointInfluences():
+        if binding is not None and binding.query.HasJointInfluences():
             joints = binding.skeleton.query.ComputeSkinningTransforms(code)
             matrix = binding.skeleton.placement.matrix(code)
             if binding.query.IsRigidlyDeformed():
                 matrix = matrix @ np.array(binding.query.ComputeSkinnedTransform(joints, code)).T
             else:
                 binding.query.ComputeSkinnedPoints(joints, held, code)
-        local = np.array(held, dtype=np.float64).reshape(-1, 3) if number else np.zeros((0, 3))
-        return source.units.meters_per_unit * transform(matrix, local)
+        return source.units.meters_per_unit * transform(matrix, np.array(held, dtype=np.float64).reshape(-1, 3))
 
-    points(source.start)  # so that what cannot be drawn is known at once
     moved = placement.animated or (binding is not None and binding.skeleton.animated)
     return points, moved or attribute.ValueMightBeTimeVarying()
 

@@ -46,19 +46,29 @@ class View:
         return 2.0 * depth * math.tan(math.radians(self.angle) / 2.0) / pixels_high
 
 
-def grounds(drawables: Sequence[Drawable], code: float) -> set[str]:
-    """Paths of surfaces so flat and large that what stands on them, not they, decides the framing."""
-    boxes = {str(d.prim.GetPath()): _box(d.points(code)) for d in drawables if len(d.points(code))}
-    flat = {
-        str(d.prim.GetPath())
-        for d in drawables
-        if isinstance(d, Shell) and _thinness(boxes.get(str(d.prim.GetPath()))) < FLAT
-    }
-    rest = [box for path, box in boxes.items() if path not in flat]
+def grounds(drawables: Sequence[Drawable], code: float) -> list[Shell]:
+    """Surfaces so flat and large that what stands on them, not they, decides the framing."""
+    boxes = [_box(d.points(code)) for d in drawables]
+    flat = [isinstance(d, Shell) and _thinness(box) < FLAT for d, box in zip(drawables, boxes, strict=True)]
+    rest = [box for box, is_flat in zip(boxes, flat, strict=True) if not is_flat and box is not None]
     if not rest:
-        return set()
+        return []
     size = float(np.ptp(np.concatenate(rest), axis=0).max())
-    return {path for path in flat if float(np.ptp(boxes[path], axis=0).max()) > WIDE * size}
+    return [
+        d
+        for d, box, is_flat in zip(drawables, boxes, flat, strict=True)
+        if is_flat and float(np.ptp(box, axis=0).max()) > WIDE * size
+    ]
+
+
+def level(shells: Sequence[Shell], up_axis: str) -> Shell | None:
+    """The first of these that lies level and still."""
+    for shell in shells:
+        if not shell.animated and np.argmin(np.ptp(shell.points(shell.source.start), axis=0)) == "XYZ".index(
+            up_axis
+        ):
+            return shell
+    return None
 
 
 def around(points: np.ndarray, up_axis: str, aspect: float) -> View:
@@ -122,8 +132,8 @@ def through(source: Source, path: str, code: float, aspect: float) -> View:
     return View(position, target, rotation[:, 1], math.degrees(angle), height, (near, far))
 
 
-def _box(points: np.ndarray) -> np.ndarray:
-    return np.array([points.min(axis=0), points.max(axis=0)])
+def _box(points: np.ndarray) -> np.ndarray | None:
+    return np.array([points.min(axis=0), points.max(axis=0)]) if len(points) else None
 
 
 def _thinness(box: np.ndarray | None) -> float:
