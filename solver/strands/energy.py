@@ -7,11 +7,12 @@ are those at the centre.
 
 Energy of a joint, with c = ta . tb, curvature binormal kb = 2 ta x tb / (1 + c) and the rest curvature b carried
 by the directors, b = 1/2 sum over both edges of (k1 m2 - k2 m1):
-    bend  1/2 B (|kb|^2 - 2 kb . b + |k|^2),  |kb|^2 = 8 / (1 + c) - 4,  B = EI / Voronoi length
+    bend  1/2 B (f(c) - 2 kb . b + |k|^2),  f = |kb|^2 - (1 - c)^2 / 4,  |kb|^2 = 8 / (1 + c) - 4
+          with B = EI / Voronoi length
     twist 1/2 G (twist - rest twist)^2
-For equal bending stiffness in both directions this equals the usual 1/2 B |kappa - k|^2 with edge-averaged
-directors, up to |kb|^2 sin^2(twist / 2), a term of the order of the discretisation's error; its Hessian needs one
-contracted second derivative of the curvature instead of two.
+For equal bending stiffness in both directions this is the usual 1/2 B |kappa - k|^2 with edge-averaged directors,
+up to terms of the order of the discretisation's error; its Hessian needs one contracted second derivative of the
+curvature instead of two. Rest curvatures come from the balance of forces in the drawn shape (`rest.py`).
 """
 
 from functools import cache, partial
@@ -20,6 +21,10 @@ from types import SimpleNamespace
 import warp as wp
 
 from plait.solver.strands.types import LEAST_FOLD, rod_types
+
+# The tangent's measure of a turn phi, 4 tan^2(phi / 2) = phi^2 + phi^4 / 6 + ..., is too stiff, the angle's own a
+# little too soft for the elastica of few segments; this much of (1 - cos phi)^2 less lies between.
+SOFTENING = 0.25
 
 
 @cache
@@ -95,9 +100,9 @@ def joint_functions(real: type) -> SimpleNamespace:
         z = wp.cross(ta, bt)
         kca = half * wp.dot(kb, ca)
         kcb = half * wp.dot(kb, cb)
-        # 1/2 |kb|^2 = 4 / (1 + c) - 2 through c; gradients of c by the edges are (tb - c ta) / |ea| and so on.
-        f1 = -real(4.0) * over * over
-        f2 = -real(2.0) * over * f1
+        # f1, f2: derivatives of f / 2 by c, whose gradients by the edges are (tb - c ta) / |ea| and so on.
+        f1 = -real(4.0) * over * over + real(SOFTENING) * (one - c)
+        f2 = real(8.0) * over * over * over - real(SOFTENING)
         ua = tb - c * ta
         ub = ta - c * tb
         stretch_twist = twist_stiffness * (twist - rest_twist)
@@ -199,7 +204,9 @@ def joint_functions(real: type) -> SimpleNamespace:
         kb = (real(2.0) / chi) * wp.cross(ta, tb)
         b = rest_curvature[0] * wp.cross(ta, ma) - rest_curvature[1] * ma
         b += rest_curvature[0] * wp.cross(tb, mb) - rest_curvature[1] * mb
-        squared = real(8.0) / chi - real(4.0) - wp.dot(kb, b) + wp.dot(rest_curvature, rest_curvature)
+        straight = real(1.0) - wp.dot(ta, tb)
+        squared = real(8.0) / chi - real(4.0) - real(SOFTENING) * straight * straight
+        squared += wp.dot(rest_curvature, rest_curvature) - wp.dot(kb, b)
         turn = twist - rest_twist
         return real(0.5) * (bend_stiffness * squared + twist_stiffness * turn * turn)
 

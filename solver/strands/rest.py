@@ -1,6 +1,6 @@
 """Rest shapes: frames along the drawn shape, and the curvature, twist and lengths that keep it as drawn.
 
-'authored': the drawn shape is free of stress. 'sagfree': it is in equilibrium with gravity and loads. All of a
+'authored': the drawn shape is free of force. 'sagfree': it is in equilibrium with gravity and loads. All of a
 rod's energy but a constant is linear in its rest curvature and twist, so the inverse problem is a linear one of
 three unknowns a vertex, solved from the free tip to the root: with F the sum of the forces beyond edge k,
 
@@ -11,7 +11,7 @@ three unknowns a vertex, solved from the free tip to the root: with F the sum of
 import warp as wp
 
 from plait.solver.contact.planes import ContactPlanes
-from plait.solver.strands.energy import joint_functions
+from plait.solver.strands.energy import SOFTENING, joint_functions
 from plait.solver.strands.newton import newton_functions
 from plait.solver.strands.types import LEAST_FOLD, rod_types
 
@@ -50,26 +50,7 @@ def transport_frames(
 
 
 @wp.kernel(enable_backward=False, module=MODULE)
-def authored_rest(
-    first: int,
-    first_node: wp.array(dtype=wp.int32),
-    position: wp.array(dtype=wp.vec3d),
-    director: wp.array(dtype=wp.vec3d),
-    rest_curvature_out: wp.array(dtype=vec2),
-):
-    """Curvature of the drawn shape in its own frames."""
-    strand = first + wp.tid()
-    for k in range(first_node[strand] + 1, first_node[strand + 1] - 1):
-        ta = wp.normalize(position[k] - position[k - 1])
-        tb = wp.normalize(position[k + 1] - position[k])
-        kb = (REAL(2.0) / wp.max(REAL(1.0) + wp.dot(ta, tb), REAL(LEAST_FOLD))) * wp.cross(ta, tb)
-        m = director[k - 1] + director[k]
-        n = wp.cross(ta, director[k - 1]) + wp.cross(tb, director[k])
-        rest_curvature_out[k] = REAL(0.5) * vec2(wp.dot(kb, n), -wp.dot(kb, m))
-
-
-@wp.kernel(enable_backward=False, module=MODULE)
-def sagfree_rest(
+def balance(
     first: int,
     strands: wp.array(dtype=wp.int32),  # those to treat
     first_node: wp.array(dtype=wp.int32),
@@ -116,7 +97,9 @@ def sagfree_rest(
         by_k1 = stiffness * (half * wp.dot(kb, b1) * tt + over * wp.cross(ta, b1))
         by_k2 = stiffness * (half * wp.dot(kb, b2) * tt + over * wp.cross(ta, b2))
         by_moment = (half * inverse_b) * kb
-        constant = (-REAL(4.0) * over * over * stiffness) * (ta - wp.dot(ta, tb) * tb)
+        constant = ((-REAL(4.0) * over * over + REAL(SOFTENING) * (one - wp.dot(ta, tb))) * stiffness) * (
+            ta - wp.dot(ta, tb) * tb
+        )
         right = wanted - constant
         matrix = wp.mat33d(
             wp.dot(by_k1, mb), wp.dot(by_k2, mb), wp.dot(by_moment, mb),

@@ -57,6 +57,7 @@ class _Fit:
         self.first_node = self._hold(layout.first_node, wp.int32)
         self.position = self._hold(layout.position, wp.vec3d)
         force = np.einsum("nij,ni->nj", layout.rest_rotation[layout.node_strand], layout.force)
+        force[~layout.sagfree[layout.node_strand]] = 0.0
         self.force = self._hold(force, wp.vec3d)
         self.director = wp.zeros(count, dtype=wp.vec3d, device=self.device)
         self.curvature = wp.zeros(count, dtype=rest.vec2, device=self.device)
@@ -68,12 +69,14 @@ class _Fit:
         strands = self.layout.strand_count
         drawn = [self.first_node, self.position]
         self.launcher.launch(rest.transport_frames, strands, drawn, [self.director])
-        self.launcher.launch(rest.authored_rest, strands, [*drawn, self.director], [self.curvature])
+        every = np.arange(strands, dtype=np.int32)
+        self._balance(every, self._stiffness(1.0), [self.curvature, self.twist, self.tension])
         left = np.flatnonzero(self.layout.sagfree).astype(np.int32)
+        left = left[~self._stable(left)]
         while len(left):
+            self.stiffening[left] *= STIFFENING
             self._balance(left, self._stiffness(1.0), [self.curvature, self.twist, self.tension])
             left = left[~self._stable(left)]
-            self.stiffening[left] *= STIFFENING
         arrays = (self.director, self.curvature, self.twist, self.tension)
         return RestShape(*(array.numpy() for array in arrays), self.stiffening)
 
@@ -89,10 +92,12 @@ class _Fit:
     def _balance(self, strands: np.ndarray, stiffness: list[wp.array], outputs: list[wp.array]) -> None:
         """Rest curvature, rest twist and tension (outputs) of `strands` at a stiffness."""
         inputs = [self._hold(strands, wp.int32), self.first_node, self.position, self.director, self.force]
-        self.launcher.launch(rest.sagfree_rest, len(strands), [*inputs, *stiffness], outputs)
+        self.launcher.launch(rest.balance, len(strands), [*inputs, *stiffness], outputs)
 
     def _stable(self, strands: np.ndarray) -> np.ndarray:
         """(len(strands),) bool: whether the drawn shape is stable, with a margin."""
+        if not len(strands):
+            return np.ones(0, dtype=bool)
         layout = self.layout
         # The stiffness divided by the margin at the same weight: the same as the weight times the margin.
         stiffness = self._stiffness(1.0 / STABILITY_MARGIN)

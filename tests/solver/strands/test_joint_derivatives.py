@@ -4,86 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import warp as wp
 
-from plait.solver.strands.energy import joint_functions
-from plait.solver.strands.types import rod_types
-
-REAL = wp.float64
-TYPES = rod_types(REAL)
-FUNCTIONS = joint_functions(REAL)
-JOINT = FUNCTIONS.joint
-ENERGY = FUNCTIONS.joint_energy
-vec2, vec3 = TYPES.vec2, TYPES.vec3
-
-
-@wp.kernel(enable_backward=False, module="tests_joint")
-def derivatives(
-    edges: wp.array(dtype=vec3),
-    directors: wp.array(dtype=vec3),
-    twist: REAL,
-    bend: REAL,
-    stiffness: REAL,
-    curvature: vec2,
-    rest_twist: REAL,
-    beta: REAL,
-    gradient_out: wp.array(dtype=REAL),
-    hessian_out: wp.array2d(dtype=REAL),
-):
-    a = edges[0]
-    b = edges[1]
-    la = wp.length(a)
-    lb = wp.length(b)
-    j = JOINT(
-        a / la, REAL(1.0) / la, b / lb, REAL(1.0) / lb, directors[0], directors[1], twist, bend, stiffness,
-        curvature, rest_twist, beta,
-    )  # fmt: skip
-    for r in range(3):
-        gradient_out[r] = j.gradient_ea[r]
-        gradient_out[3 + r] = j.gradient_eb[r]
-        for c in range(3):
-            hessian_out[r, c] = j.ea_ea[r, c]
-            hessian_out[3 + r, c] = j.eb_ea[r, c]
-            hessian_out[c, 3 + r] = j.eb_ea[r, c]
-            hessian_out[3 + r, 3 + c] = j.eb_eb[r, c]
-        hessian_out[r, 6] = j.ea_ta[r]
-        hessian_out[6, r] = j.ea_ta[r]
-        hessian_out[r, 7] = j.ea_tb[r]
-        hessian_out[7, r] = j.ea_tb[r]
-        hessian_out[3 + r, 6] = j.eb_ta[r]
-        hessian_out[6, 3 + r] = j.eb_ta[r]
-        hessian_out[3 + r, 7] = j.eb_tb[r]
-        hessian_out[7, 3 + r] = j.eb_tb[r]
-    gradient_out[6] = j.gradient_ta
-    gradient_out[7] = j.gradient_tb
-    hessian_out[6, 6] = j.ta_ta
-    hessian_out[7, 7] = j.tb_tb
-    hessian_out[6, 7] = j.tb_ta
-    hessian_out[7, 6] = j.tb_ta
-
-
-@wp.kernel(enable_backward=False, module="tests_joint")
-def energies(
-    edges: wp.array2d(dtype=vec3),
-    directors: wp.array2d(dtype=vec3),
-    twist: wp.array(dtype=REAL),
-    bend: REAL,
-    stiffness: REAL,
-    curvature: vec2,
-    rest_twist: REAL,
-    energy_out: wp.array(dtype=REAL),
-):
-    i = wp.tid()
-    energy_out[i] = ENERGY(
-        wp.normalize(edges[i, 0]), wp.normalize(edges[i, 1]), directors[i, 0], directors[i, 1], twist[i], bend,
-        stiffness, curvature, rest_twist,
-    )  # fmt: skip
-
-
-def transport(t: np.ndarray, to: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Rodrigues' rotation that takes unit t to unit `to` the shortest way, applied to v."""
-    axis, c = np.cross(t, to), t @ to
-    return v + np.cross(axis, v) + np.cross(axis, np.cross(axis, v)) / (1.0 + c)
+from .joint_probe import derivatives, energies, transport
 
 
 class Chart:
@@ -100,7 +22,6 @@ class Chart:
         self.curvature = random.normal(size=2)
         self.rest_twist = random.normal()
         self.twist = self.angle(self.edges, self.directors)
-        self.scale = np.array([1.0] * 8)
 
     @staticmethod
     def angle(edges: np.ndarray, directors: np.ndarray) -> float:
@@ -119,46 +40,18 @@ class Chart:
         twist = self.angle(edges, directors)
         return edges, directors, twist + 2 * np.pi * np.round((self.twist - twist) / (2 * np.pi))
 
+    @property
+    def constants(self) -> tuple:
+        return self.bend, self.stiffness, self.curvature, self.rest_twist
+
     def energies(self, steps: np.ndarray) -> np.ndarray:
         shapes = [self.shape(step) for step in steps]
-        out = wp.zeros(len(steps), dtype=REAL, device="cpu")
-        wp.launch(
-            energies,
-            len(steps),
-            [
-                wp.array(np.array([s[0] for s in shapes]), dtype=vec3, device="cpu"),
-                wp.array(np.array([s[1] for s in shapes]), dtype=vec3, device="cpu"),
-                wp.array(np.array([s[2] for s in shapes]), dtype=REAL, device="cpu"),
-                self.bend,
-                self.stiffness,
-                vec2(*self.curvature),
-                self.rest_twist,
-            ],
-            [out],
-            device="cpu",
-        )
-        return out.numpy()
+        return energies(*(np.array(values) for values in zip(*shapes, strict=True)), *self.constants)
 
     def derivatives(self, beta: float) -> tuple[np.ndarray, np.ndarray]:
-        gradient = wp.zeros(8, dtype=REAL, device="cpu")
-        hessian = wp.zeros((8, 8), dtype=REAL, device="cpu")
-        wp.launch(
-            derivatives,
-            1,
-            [
-                wp.array(self.edges, dtype=vec3, device="cpu"),
-                wp.array(self.directors, dtype=vec3, device="cpu"),
-                self.twist,
-                self.bend,
-                self.stiffness,
-                vec2(*self.curvature),
-                self.rest_twist,
-                beta,
-            ],
-            [gradient, hessian],
-            device="cpu",
-        )
-        return gradient.numpy(), hessian.numpy()
+        shape = self.edges[None], self.directors[None], np.array([self.twist])
+        gradient, hessian = derivatives(*shape, *self.constants, beta)
+        return gradient[0], hessian[0]
 
 
 # Central differences of eighth order: weights of f(h k) - f(-h k), k = 1..4.
