@@ -242,7 +242,7 @@ def author_camera(stage: Usd.Stage) -> None:
     camera.CreateClippingRangeAttr(Gf.Vec2f(1.0, 5000.0))
     transform = camera.AddTransformOp()
     for code in np.arange(FIRST_FRAME, LAST_FRAME + 1e-6):
-        along = 118.0 * walk.smooth(np.array([(code - FIRST_FRAME) / RATE]), 0.0, 2.2)[0]
+        along = 118.0 * walk.smooth(np.array([(code - FIRST_FRAME) / RATE]), 0.1, 2.4)[0]
         eye = Gf.Vec3d(190.0, 125.0, 250.0 + round(float(along), DIGITS))
         look = Gf.Matrix4d().SetLookAt(eye, eye - Gf.Vec3d(190.0, 33.0, 250.0), Gf.Vec3d.YAxis())
         transform.Set(look.GetInverse(), code)

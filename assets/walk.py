@@ -14,10 +14,11 @@ import numpy as np
 from plait.assets.character import ARM_ANGLE, Joint
 
 DURATION = 4.0
-SPIN_START, SPIN_END = 1.76, 2.71
+SPIN_START, SPIN_END = 1.91, 2.86
 LEG_STRETCH = 0.998  # of a leg's length; a straight knee would snap
 FINE = 480.0  # samples a second in which paths are smoothed
 LIFT_PITCH, LAND_PITCH = np.radians(32.0), np.radians(-14.0)
+HEEL = -5.5  # [cm] where a heel lands, behind the ankle
 SIDES = ("Left", "Right")
 
 
@@ -33,8 +34,8 @@ class Swing:
 
 
 STEPS = {
-    "Left": (Swing(0.66, 1.04, 7.5, 74.0, 5.0), Swing(1.42, 1.74, 7.0, 128.0, 4.0)),
-    "Right": (Swing(0.24, 0.62, -7.5, 40.0, 5.0), Swing(1.06, 1.40, -7.5, 110.0, 5.0),
+    "Left": (Swing(0.81, 1.19, 7.5, 74.0, 5.0), Swing(1.53, 1.81, 7.0, 128.0, 4.0)),
+    "Right": (Swing(0.39, 0.77, -7.5, 40.0, 5.0), Swing(1.20, 1.52, -7.5, 110.0, 5.0),
               Swing(SPIN_START + 0.02, SPIN_END + 0.02, -12.0, 128.0, 9.0)),
 }  # fmt: skip
 
@@ -90,7 +91,7 @@ class Walk:
             result += (LAND_PITCH - LIFT_PITCH) * smooth(times, swing.start, swing.end)
             result -= LAND_PITCH * smooth(times, swing.end, swing.end + 0.1)
         if side == "Left":
-            result += np.radians(16.0) * smooth(times, SPIN_START - 0.02, SPIN_START + 0.2)
+            result += np.radians(16.0) * smooth(times, SPIN_START, SPIN_START + 0.2)
             result -= np.radians(16.0) * smooth(times, SPIN_END - 0.25, SPIN_END)
         return result
 
@@ -98,7 +99,7 @@ class Walk:
         """(time_count, 3) ankle of a foot on a footprint: it rolls on its heel or on its ball."""
         yaw, pitch = rotation_y(turned(times)), rotation_x(self.pitch(side, times))
         ankle_to_ball = self._rest[side + "Toe"] - self._rest[side + "Foot"]
-        ankle_to_heel = np.array([0.0, -self._rest[side + "Foot"][1], -4.0])
+        ankle_to_heel = np.array([0.0, -self._rest[side + "Foot"][1], HEEL])
         ball = self.footprint(side, number)
         heel = ball + apply(yaw, ankle_to_heel - ankle_to_ball)
         on_heel = self.pitch(side, times) < 0.0
@@ -189,7 +190,7 @@ class Walk:
 
     def _trunk(self, times: np.ndarray, world: dict[str, np.ndarray]) -> None:
         stride = self._stride(times)
-        going = smooth(times, 0.15, 0.6) - smooth(times, SPIN_START - 0.1, SPIN_START + 0.4)
+        going = smooth(times, 0.3, 0.75) - smooth(times, SPIN_START - 0.1, SPIN_START + 0.4)
         wind_up = np.radians(-14.0) * bump(times, SPIN_START - 0.3, SPIN_START + 0.25)
         height = sample(times, self._times, self._hips)[:, 1]
         nod = np.radians(0.8) * (height - self._rest["Hips"][1]) + np.radians(3.0) * going
@@ -224,13 +225,11 @@ class Walk:
             world[side + name] = aim(end - start, sideways) @ aim(bone[None], np.array([[1.0, 0.0, 0.0]]))[0].T
         foot_yaw, pitch = rotation_y(turned(times)), self.pitch(side, times)
         world[side + "Foot"] = foot_yaw @ rotation_x(pitch)
-        # On the ball the toes stay flat; in the air and on the heel they go with the foot.
-        stands = self.planted(side, times) >= 0
-        flat = np.where(stands & (pitch > 0.0), 0.0, pitch)
+        # With the heel up the toes stay flat, and nearly so in the air; else they go with the foot.
+        in_air = np.zeros(len(times))
         for swing in STEPS[side]:
-            up = (times > swing.start) & (times < swing.end)
-            flat = np.where(up, pitch * smooth(times, swing.start, swing.start + 0.12), flat)
-        world[side + "Toe"] = foot_yaw @ rotation_x(flat)
+            in_air += bump(times, swing.start, swing.end)
+        world[side + "Toe"] = foot_yaw @ rotation_x(np.where(pitch > 0.0, 0.4 * in_air * pitch, pitch))
 
     def _arm(self, side: str, times: np.ndarray, world: dict[str, np.ndarray]) -> None:
         sign = 1.0 if side == "Left" else -1.0
