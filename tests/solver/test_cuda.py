@@ -1,0 +1,43 @@
+"""CUDA is honoured where there is none: every kernel module compiles for sm_90 without a GPU."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+import plait.solver
+from plait.solver.strands.kernels import strand_kernels
+from plait.solver.warp_start import start_warp
+
+start_warp()
+
+
+def kernels() -> Iterator[wp.Kernel]:
+    """Every kernel of the solver: those of its Python modules and those made for each precision."""
+    for found in pkgutil.walk_packages(plait.solver.__path__, "plait.solver."):
+        yield from vars(importlib.import_module(found.name)).values()
+    for real in (wp.float32, wp.float64):
+        yield from vars(strand_kernels(real)).values()
+
+
+MODULES = {kernel.module.name: kernel.module for kernel in kernels() if isinstance(kernel, wp.Kernel)}
+
+
+def test_no_kernel_is_left_out():
+    """Each `@wp.kernel` in the sources belongs to a module that is compiled here."""
+    text = "".join(path.read_text() for path in Path(plait.solver.__path__[0]).rglob("*.py"))
+    written = set(re.findall(r"@wp\.kernel\([^)]*\)\s+def (\w+)\(", text))
+    known = {kernel.key.split(".")[-1] for kernel in kernels() if isinstance(kernel, wp.Kernel)}
+    assert written and not {name for name in written if not any(name in key for key in known)}
+
+
+@pytest.mark.parametrize("name", sorted(MODULES))
+def test_compiles_for_sm_90(name, tmp_path):
+    (binary,) = wp.compile_aot_module(MODULES[name], arch=90, module_dir=tmp_path)
+    assert binary.stat().st_size > 0
