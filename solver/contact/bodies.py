@@ -13,7 +13,7 @@ from plait.solver.launch import Launcher
 
 # Triangles in a group: at least so many, and at most so many groups to a surface.
 GROUP_SIZE = 64
-MAX_GROUPS = 256
+MAX_GROUPS = 64
 
 
 class BodyTable:

@@ -129,6 +129,15 @@ def ray_parity(mesh: wp.uint64, x: wp.vec3f) -> float:
     return -1.0
 
 
+@wp.func
+def crosses(mesh: wp.uint64, a: wp.vec3d, b: wp.vec3d) -> bool:
+    way = b - a
+    length = wp.length(way)
+    if length <= ZERO:
+        return False
+    return wp.mesh_query_ray_anyhit(mesh, to_float(a), to_float(way / length), float(length))
+
+
 @wp.kernel
 def find_inside(
     first: int,
@@ -140,7 +149,8 @@ def find_inside(
 ):
     """Nodes further inside a surface than their radius, and the deepest node [m]; one strand an item.
 
-    By ray parity for solids, by normals for an open surface grown on. Prescribed nodes and stems are left out.
+    For solids by ray parity, taken again wherever an edge of the strand meets the surface; for an open surface
+    grown on by normals. Prescribed nodes and stems are left out.
     """
     strand = first + wp.tid()
     root = nodes.first_node[strand] + PRESCRIBED - 1
@@ -148,34 +158,30 @@ def find_inside(
     count = wp.int32(0)
     deepest = ZERO
     for body in range(bodies.count):
-        keeps_out = bodies.solid[body] == 1 or bodies.surface[body] == nodes.surface[strand]
+        solid = bodies.solid[body] == 1
+        keeps_out = solid or bodies.surface[body] == nodes.surface[strand]
         stem = -ONE
         if keeps_out and box_gap(box.lower, box.upper, bodies.lower[body], bodies.upper[body]) <= ZERO:
             full = box.radius + bodies.thickness[body]
             stem = stem_inside(bodies, body, keeps_out, nodes, strand, position[root], full)
         if stem >= ZERO:
+            mesh = bodies.mesh_end[body]
             arc = ZERO
-            outside = wp.bool(False)
-            known = wp.float64(FAR)
-            since = ZERO
+            sign = wp.float32(1.0)
+            known = wp.bool(False)
             for i in range(root + 1, nodes.first_node[strand + 1]):
-                step = wp.length(position[i] - position[i - 1])
-                arc += step
-                since += step
-                if nodes.clearance[i] >= ZERO and arc > stem and (not outside or known <= since):
-                    x = position[i]
-                    reach = float(known + since) * 1.001 + 1.0e-5
-                    query = wp.mesh_query_point_sign_normal(bodies.mesh_end[body], to_float(x), reach)
-                    if query.result:
-                        sign = query.sign
-                        if bodies.solid[body] == 1:
-                            sign = ray_parity(bodies.mesh_end[body], to_float(x))
-                        height = height_above(bodies, body, query, x, sign)
-                        deepest = wp.max(deepest, -height)
-                        if height < -nodes.radius[i]:
-                            count += 1
-                        outside = height > ZERO
-                        known = wp.abs(height)
-                        since = ZERO
+                x = position[i]
+                arc += wp.length(x - position[i - 1])
+                if nodes.clearance[i] >= ZERO and arc > stem:
+                    if solid and (not known or crosses(mesh, position[i - 1], x)):
+                        sign = ray_parity(mesh, to_float(x))
+                        known = True
+                    if not solid or sign < 0.0:
+                        query = wp.mesh_query_point_sign_normal(mesh, to_float(x), FAR)
+                        if query.result:
+                            height = height_above(bodies, body, query, x, wp.where(solid, sign, query.sign))
+                            deepest = wp.max(deepest, -height)
+                            if height < -nodes.radius[i]:
+                                count += 1
     count_out[strand] = count
     deepest_out[strand] = deepest

@@ -161,11 +161,13 @@ def stem_inside(
     Twice the root's depth; negative where the surface is further from the root than the strand is long: the strand
     is then out of its reach, or held inside as a whole.
     """
+    if bodies.surface[body] == nodes.surface[strand]:
+        return ZERO
     reach = STRETCHED * nodes.length[strand] + TWO * full
     query = wp.mesh_query_point_sign_normal(bodies.mesh_end[body], to_float(root), float(reach))
     if not query.result:
         return -ONE
-    if query.sign >= 0.0 or not keeps_out or bodies.surface[body] == nodes.surface[strand]:
+    if query.sign >= 0.0 or not keeps_out:
         return ZERO
     index = bodies.first_triangle[body] + query.face
     triangle = get_triangle(bodies.triangles, bodies.points_end, index)
