@@ -254,6 +254,42 @@ def test_a_buried_stem_is_left_alone_and_the_rest_led_out(launcher: Launcher) ->
     assert setup.contact.penetrating(setup.end)[0] == 0
 
 
+def box(size: float) -> tuple[np.ndarray, np.ndarray]:
+    """A closed cube of this half side, facing out."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
+    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+
+
+def test_a_node_that_swings_about_an_edge_is_kept_on_the_side_it_came_from(launcher: Launcher) -> None:
+    """From 1.4 radii above one face to a quarter radius before the next: the first one was touched first."""
+    corners, triangles = box(0.1)
+    nodes = np.array([[[0.1 - 0.5 * RADIUS, 0.02, 0.1 + 1.4 * RADIUS]]])
+    setup = make(launcher, (Surface("box", corners, triangles),), nodes)
+    setup.sweep(np.array([0.75 * RADIUS, 0.0, -1.9 * RADIUS]))
+    normals = setup.contact.planes.normal.numpy()
+    assert normals[np.flatnonzero(np.any(normals, axis=1))[0], 2] > 0.9
+
+
+def test_a_root_that_the_animation_puts_inside_a_body_holds_its_stem(launcher: Launcher) -> None:
+    """Nodes within twice the root's depth along the strand have no contact with that body, others come out."""
+    points, triangles = ball(24, 0.1)
+
+    def swallow(rest: np.ndarray, time: float) -> np.ndarray:
+        return rest + np.array([0.0, 0.0, min(24.0 * time, 0.12) - 0.12])
+
+    # The root ends 1 cm under the ball's top; a node every 9 mm beside it, the first four inside.
+    nodes = np.array([[[0.009 * k, 0.0, 0.09] for k in range(1, 7)]])
+    body = Surface("ball", points, triangles, motion=Played(swallow, points))
+    setup = make(launcher, (body,), nodes, root=(0.0, 0.0, 0.09))
+    before = setup.positions.copy()
+    setup.sweep(np.zeros((1, 6, 3)))
+    np.testing.assert_array_equal(setup.positions[0, 2:4], before[0, 2:4])
+    assert np.all(np.linalg.norm(setup.positions[0, 4:], axis=1) > 0.1 * np.cos(np.pi / 24) ** 2)
+    assert np.all(setup.positions[0, 4:6] != before[0, 4:6], axis=1).any()
+    assert setup.contact.penetrating(setup.end)[0] == 0
+
+
 def test_enclosures_have_no_inside(launcher: Launcher) -> None:
     """A room drawn as a closed box facing out holds everything: nothing is pushed through its walls."""
     points, triangles = ball(12, 5.0)
@@ -267,9 +303,7 @@ def test_enclosures_have_no_inside(launcher: Launcher) -> None:
 
 def test_penetration_is_counted_as_geometry_says(launcher: Launcher) -> None:
     """Against the exact distance to a box: nodes deeper than their radius, and the deepest."""
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.1
-    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    corners, triangles = box(0.1)
     nodes = np.random.default_rng(4).uniform(-0.12, 0.12, (300, 6, 3))
     setup = make(launcher, (Surface("box", corners, triangles),), nodes)
     x = wp.array(setup.positions.reshape(-1, 3), dtype=wp.vec3d, device="cpu")
