@@ -11,6 +11,9 @@ from plait.solver.scene import Scene, Strands
 
 # Points closer together than this part of their strand's length are one node: they have no direction.
 COINCIDENT = 1.0e-7
+# A strand drawn straight back onto itself has no curvature there: within this angle [rad] of it, the next point is
+# moved aside by this part of the segment, which opens the fold.
+LEAST_OPENING = 0.1
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,7 @@ def build_layout(scene: Scene) -> Layout:
     position = np.zeros((count, 3))
     position[point_node[kept]] = points[kept]
     position[ghosts] = 2.0 * position[roots] - position[roots + 1]
+    _open_folds(position, ghosts)
     node_radius = np.ones(count)
     node_radius[point_node[kept]] = radius[kept]
     node_radius[ghosts] = node_radius[roots]
@@ -160,6 +164,21 @@ def _distinct(points: np.ndarray, offsets: np.ndarray, strand_of_point: np.ndarr
     kept = gap > COINCIDENT * length[strand_of_point]
     kept[offsets[:-1]] = True
     return kept
+
+
+def _open_folds(position: np.ndarray, ghosts: np.ndarray) -> None:
+    """Where a strand turns back onto itself, moves the point after the turn a little aside, in place."""
+    tips = np.append(ghosts[1:], len(position)) - 1
+    edges = np.diff(position, axis=0)
+    edges[tips[:-1]] = 1.0  # from one strand's tip to the next one's ghost
+    tangents = edges / np.linalg.norm(edges, axis=1, keepdims=True)
+    joined = np.ones(len(position), dtype=bool)  # nodes between two edges of one strand
+    joined[ghosts] = joined[tips] = False
+    opening = np.linalg.norm(tangents[:-1] + tangents[1:], axis=1)
+    for node in 1 + np.flatnonzero(joined[1:-1] & (opening < LEAST_OPENING)):
+        back = position[node + 1] - position[node]
+        aside = np.cross(back, np.eye(3)[np.argmin(np.abs(back))])
+        position[node + 1] += LEAST_OPENING * np.linalg.norm(back) * aside / np.linalg.norm(aside)
 
 
 def _lumped_mass(

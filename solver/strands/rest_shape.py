@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from plait.solver.contact.planes import allocate_planes
+from plait.solver.diagnostics import Refused
 from plait.solver.launch import Launcher
 from plait.solver.strands import rest
 from plait.solver.strands.layout import Layout
@@ -19,6 +20,7 @@ from plait.solver.strands.types import rod_types
 STABILITY_MARGIN = 1.2
 # Bending and twisting stiffness of a strand that is not stable grow by this, again and again.
 STIFFENING = 1.25
+MOST_STIFFENING = 1.0e12
 
 
 @dataclass
@@ -42,7 +44,7 @@ def fit_rest_shapes(layout: Layout, launcher: Launcher) -> RestShape:
 
     A 'sagfree' shape must also be one the strand stays in: where the drawn shape under gravity is not a minimum of
     the energy for any rest shape (a soft hair drawn upright buckles), the strand's bending and twisting stiffness
-    are raised in steps of a quarter until it is.
+    are raised in steps of a quarter until it is; raises `Refused` where nothing helps.
     """
     return _Fit(layout, launcher).run()
 
@@ -75,6 +77,10 @@ class _Fit:
         left = left[~self._stable(left)]
         while len(left):
             self.stiffening[left] *= STIFFENING
+            hopeless = left[self.stiffening[left] > MOST_STIFFENING]
+            if len(hopeless):
+                where = self.layout.where(int(hopeless[0]))
+                raise Refused(f"{where}: no stiffness keeps it as drawn; give it restShape 'authored', or more EA")
             self._balance(left, self._stiffness(1.0), [self.curvature, self.twist, self.tension])
             left = left[~self._stable(left)]
         arrays = (self.director, self.curvature, self.twist, self.tension)

@@ -115,8 +115,8 @@ def main() -> None:
             best, median, processor, iterations = cost(simulation, total, options.frames)
             simulation.close()
             print(
-                f"{total:8d} segments, {threads} thread(s): best {best:.3f}, median {median:.3f} us per segment and "
-                f"substep (processor time with roots {processor:.3f}), {iterations:.2f} iterations",
+                f"{total:8d} segments, {threads} thread(s): best {best:.3f}, median {median:.3f} us per segment "
+                f"and substep (processor time with roots {processor:.3f}), {iterations:.2f} iterations",
                 flush=True,
             )
             seen.append(best * total)
