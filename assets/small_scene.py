@@ -39,7 +39,8 @@ def write(folder: Path) -> Path:
     root = UsdSkel.Root.Define(stage, "/World/Head")
     root.CreateExtentAttr(Vt.Vec3fArray([(-40, -5, -40), (40, 50, 40)]))
     skeleton = _skeleton(stage)
-    points, faces = _capsule()
+    points, faces = capsule(RADIUS, HEIGHT, AROUND, UP)
+    points = np.round(points, DIGITS)
     _skin(stage, skeleton, points, faces)
     _strands(stage, points, faces)
     _ball(stage)
@@ -94,32 +95,31 @@ def _quaternion(degrees: float, axis: tuple[int, int, int]) -> Gf.Quatf:
     return Gf.Quatf(float(np.round(np.cos(half), 7)), Gf.Vec3f(*vector))
 
 
-def _capsule() -> tuple[np.ndarray, list[list[int]]]:
-    """((n, 3) points [cm], faces counter-clockwise from outside): a pole, rings of AROUND points, a pole.
+def capsule(radius: float, height: float, around: int, rings: int) -> tuple[np.ndarray, list[list[int]]]:
+    """((n, 3) points, faces counter-clockwise from outside) of a capsule that stands on the origin along Y.
 
-    Rings lie evenly along the outline, so quads are about as high as they are wide.
+    A pole, rings of `around` points, a pole. Rings lie evenly along the outline.
     """
-    cap, side = 0.5 * np.pi * RADIUS, HEIGHT - 2.0 * RADIUS
-    along = (2.0 * cap + side) * np.arange(1, UP + 1) / (UP + 1)
-    polar = np.where(along < cap, along, np.where(along > cap + side, along - side, cap)) / RADIUS
-    height = RADIUS - RADIUS * np.cos(polar) + np.clip(along - cap, 0.0, side)
-    angle = 2.0 * np.pi * np.arange(AROUND) / AROUND
-    ring = np.stack([np.sin(angle), np.zeros(AROUND), np.cos(angle)], axis=1)
-    rings = ring * (RADIUS * np.sin(polar))[:, None, None] + np.array([0.0, 1.0, 0.0]) * height[:, None, None]
-    points = np.concatenate([[[0.0, 0.0, 0.0]], rings.reshape(-1, 3), [[0.0, HEIGHT, 0.0]]])
+    cap, side = 0.5 * np.pi * radius, height - 2.0 * radius
+    along = (2.0 * cap + side) * np.arange(1, rings + 1) / (rings + 1)
+    polar = np.where(along < cap, along, np.where(along > cap + side, along - side, cap)) / radius
+    level = radius - radius * np.cos(polar) + np.clip(along - cap, 0.0, side)
+    angle = 2.0 * np.pi * np.arange(around) / around
+    circle = np.stack([np.sin(angle), np.zeros(around), np.cos(angle)], axis=1)
+    body = circle * (radius * np.sin(polar))[:, None, None] + np.array([0.0, 1.0, 0.0]) * level[:, None, None]
+    points = np.concatenate([[[0.0, 0.0, 0.0]], body.reshape(-1, 3), [[0.0, height, 0.0]]])
 
-    def at(row: int, column: int) -> int:
-        return 1 + row * AROUND + column % AROUND
+    def at(ring: int, column: int) -> int:
+        return 1 + ring * around + column % around
 
     last = len(points) - 1
-    faces = [[0, at(0, k + 1), at(0, k)] for k in range(AROUND)]
+    faces = [[0, at(0, k + 1), at(0, k)] for k in range(around)]
     faces += [
-        [at(row, k), at(row, k + 1), at(row + 1, k + 1), at(row + 1, k)]
-        for row in range(UP - 1)
-        for k in range(AROUND)
+        [at(ring, k), at(ring, k + 1), at(ring + 1, k + 1), at(ring + 1, k)]
+        for ring in range(rings - 1)
+        for k in range(around)
     ]
-    faces += [[at(UP - 1, k), at(UP - 1, k + 1), last] for k in range(AROUND)]
-    return np.round(points, DIGITS), faces
+    return points, faces + [[at(rings - 1, k), at(rings - 1, k + 1), last] for k in range(around)]
 
 
 def _skin(stage: Usd.Stage, skeleton: UsdSkel.Skeleton, points: np.ndarray, faces: list[list[int]]) -> None:

@@ -70,10 +70,10 @@ def test_the_strands_touch_the_ball(result):
 
 
 @pytest.mark.parametrize("change", ["parameters.damping=2.1", "parameters.friction=0.33", "solver.substeps=9"])
-def test_a_change_is_seen(tmp_path, change):
+def test_a_change_is_seen(result, tmp_path, change):
     """So that the comparison can fail: five or ten percent of one parameter, one substep more."""
     new = simulated(FOLDER / SHOT, tmp_path / "out.usda", change)
-    assert not compare(FOLDER / REFERENCE, new, TOLERANCE).ok
+    assert largest(compare(result, new, TOLERANCE)) > 3.0 * TOLERANCE
 
 
 def test_rounding_of_the_input_stays_below(result, tmp_path):

@@ -1,0 +1,53 @@
+"""Every example runs, does what its page says, and has a picture that is small enough to ship."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from plait.pipeline import preview
+from plait.pipeline.errors import PlaitError
+
+EXAMPLES = sorted(path for path in (Path(__file__).parents[1] / "examples").iterdir() if path.is_dir())
+
+
+def load(folder: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"example_{folder.name}", folder / "example.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("folder", EXAMPLES, ids=lambda folder: folder.name)
+def test_example_runs_and_holds(folder, tmp_path):
+    """`main` runs it, checks it and draws it; where nothing can be drawn it does the rest."""
+    example = load(folder)
+    try:
+        preview.probe()
+    except PlaitError:
+        example.main(tmp_path, draw=False)
+        return
+    example.main(tmp_path)
+    (picture,) = tmp_path.glob("*.jpg")
+    assert picture.stat().st_size > 5_000
+
+
+@pytest.mark.parametrize("folder", EXAMPLES, ids=lambda folder: folder.name)
+def test_example_has_a_page_with_its_picture(folder):
+    page = (folder / "README.md").read_text()
+    (picture,) = folder.glob("*.jpg")
+    assert f"({picture.name})" in page and "What to look at" in page
+    assert picture.stat().st_size < 150_000
+
+
+def test_a_broken_result_fails_its_check():
+    """The checks can fail: ropes that a ball is simply moved through."""
+    example = load(next(folder for folder in EXAMPLES if folder.name == "ropes_and_ball"))
+    still = example.scene().strands[0].points.reshape(1, example.ROPES, example.NODES, 3)
+    centres = [example.ball_centre(time) for time in (0.0, 0.4, 0.8)]
+    result = example.Result(still.repeat(3, axis=0), example.np.array(centres), example.np.zeros(3))
+    with pytest.raises(AssertionError):
+        example.check(result)
