@@ -59,6 +59,25 @@ class Layout:
         length = np.add.reduceat(self.edge_length, ghosts) - self.edge_length[ghosts] - 1.0
         return length / (np.diff(self.first_node) - 2)
 
+    @property
+    def turn_correction(self) -> np.ndarray:
+        """(node_count,) by which bending stiffness falls at a joint that is drawn with a turn phi: cos^4(phi / 2).
+
+        The measure 2 tan(phi / 2) changes with phi as 1 / cos^2(phi / 2); with this factor a drawn turn is as
+        stiff to changes of its angle as a straight joint, however sharp.
+        """
+        edges = np.diff(self.position, axis=0)
+        edges /= np.maximum(np.linalg.norm(edges, axis=1, keepdims=True), np.finfo(float).tiny)
+        correction = np.ones(self.node_count)
+        correction[1:-1] = (0.5 + 0.5 * np.einsum("ni,ni->n", edges[:-1], edges[1:])) ** 2
+        correction[self.first_node[:-1]] = correction[self.first_node[1:] - 1] = 1.0
+        return correction
+
+    def vertex_stiffness(self, stiffening: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(node_count,) each: vertices' bending and twisting stiffness [N m], the strands' times `stiffening`."""
+        bend, twist = ((stiffening * k)[self.node_strand] / self.voronoi for k in (self.bend, self.twist))
+        return self.turn_correction * bend, twist
+
     def rest_length(self, tension: np.ndarray) -> np.ndarray:
         """(node_count,) [m] of edges that have the drawn length under `tension` [N]."""
         return self.edge_length / (1.0 + tension / self.stretch[self.node_strand])

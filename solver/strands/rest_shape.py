@@ -91,9 +91,7 @@ class _Fit:
 
     def _stiffness(self, factor: float) -> list[wp.array]:
         """`factor` times bending and twisting stiffness over the vertices' Voronoi lengths [N m]."""
-        strand, voronoi = self.layout.node_strand, self.layout.voronoi
-        raised = factor * self.stiffening
-        return [self._hold((raised * k)[strand] / voronoi) for k in (self.layout.bend, self.layout.twist)]
+        return [self._hold(values) for values in self.layout.vertex_stiffness(factor * self.stiffening)]
 
     def _balance(self, strands: np.ndarray, stiffness: list[wp.array], outputs: list[wp.array]) -> None:
         """Rest curvature, rest twist and tension (outputs) of `strands` at a stiffness."""
