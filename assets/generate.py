@@ -5,8 +5,8 @@
 Writes `shot.usda` (the shot: open this), `character.usdc`, `walk.usdc` and `groom.usdc`. Centimetres, Y up, 24
 frames a second, frames 1001 to 1097. The picture beside them is made from the simulated shot:
 
-    plait sim assets/sample/shot.usda -o /tmp/sample.usda
-    plait preview /tmp/sample.usda -o assets/sample/picture.webp -f 1001:1097x2 --size 272x340 --camera /World/Camera
+    plait sim assets/sample/shot.usda -o out.usda
+    plait preview out.usda -o assets/sample/picture.webp -f 1001:1097x2 --size 272x340 --camera /World/Camera
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ RATE = 24.0
 FIRST_FRAME = 1001.0
 LAST_FRAME = FIRST_FRAME + walk.DURATION * RATE
 SAMPLES_PER_FRAME = 2  # of the animation: substeps see its curvature
-# [cm] A strand stands for a lock. Its mechanics and its contacts go by the thickness: three hairs' diameters, so that
-# it is stiff enough for its weight to keep its shape. It is drawn as wide as a lock looks.
+# [cm] A strand stands for a lock. Its mechanics and its contacts go by the thickness, of three hairs, so that it is
+# stiff enough for its weight to keep its shape. It is drawn as wide as a lock looks.
 THICKNESS = 0.025
 DRAWN_ROOT, DRAWN_TIP = 0.11, 0.05
 DAMPING = 6.0  # [1/s] air, and the neighbours it rubs against
