@@ -25,8 +25,8 @@ RATE = 24.0
 FIRST_FRAME = 1001.0
 LAST_FRAME = FIRST_FRAME + walk.DURATION * RATE
 SAMPLES_PER_FRAME = 2  # of the animation: substeps see its curvature
-# [cm] A strand stands for a lock. Its mechanics and its contacts go by the thickness, of three hairs, so that it is
-# stiff enough for its weight to keep its shape. It is drawn as wide as a lock looks.
+# [cm] A strand stands for a lock. Its mechanics and its contacts go by the thickness, of three hairs, so that it
+# is stiff enough for its weight to keep its shape. It is drawn as wide as a lock looks.
 THICKNESS = 0.025
 DRAWN_ROOT, DRAWN_TIP = 0.11, 0.05
 DAMPING = 6.0  # [1/s] air, and the neighbours it rubs against
