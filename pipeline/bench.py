@@ -56,8 +56,8 @@ def show(
 
 
 def as_json_text(data: dict[str, Any]) -> str:
-    """Indented JSON; what is not a number becomes null."""
-    return msgspec.json.format(msgspec.json.encode(data), indent=1).decode()
+    """Indented JSON; numpy's numbers become plain ones, and what is not a number null."""
+    return msgspec.json.format(msgspec.json.encode(data, enc_hook=float), indent=1).decode()
 
 
 def machine(hardware: Hardware) -> dict[str, Any]:

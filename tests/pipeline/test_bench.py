@@ -187,13 +187,15 @@ def test_progress_is_told_as_often_as_announced():
 
 def test_json_holds_every_row_and_the_exit_code_tells_of_failures(capsys):
     """Failures are data too, and what is not a number becomes null, so that any reader takes it."""
-    good, bad = toy(2.0), toy(2.0, fail=refuse_finest, name="bad")
+    good = toy(2.0, interval=np.float64(0.5))
+    bad = toy(2.0, fail=refuse_finest, name="bad")
     assert bench.show([], as_json=True, available=(good,)) == EXIT_DONE
     capsys.readouterr()
     assert bench.show([], as_json=True, available=(good, bad)) == EXIT_FAILED
     data = json.loads(capsys.readouterr().out)
     assert [case["name"] for case in data["cases"]] == ["toy", "bad"]
     assert [len(case["rows"]) for case in data["cases"]] == [4, 4]
+    assert data["cases"][0]["rows"][1]["step"] == 0.25
     assert "went wrong" in data["cases"][1]["rows"][3]["failure"]
     assert data["cases"][1]["orders"][0]["observed"][1] is None
     assert data["versions"]["plait"]
