@@ -1,9 +1,9 @@
 """The small shot against its reference cache, as `plait sim` and `plait compare` see them.
 
 Tolerance: machines differ by rounding (libm, fused multiply-add), float32 at the coarsest: 4e-8 m in a skinned
-point of this shot. The motion magnifies what its input is off by about twelve times, which
-`test_rounding_of_the_input_stays_below` watches, so 5e-7 m is what to expect, and 1e-5 m, 4e-5 of a strand's
-length, leaves room. A change of the physics is far above: see `test_a_change_is_seen`.
+point of this shot. The motion magnifies what its input is off by some tens of times, which
+`test_rounding_of_the_input_stays_below` watches, so 1e-6 m is what to expect, and 1e-4 of a strand's length leaves
+room. A change of the physics is far above: see `test_a_change_is_seen`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from plait.pipeline import config, driver
 from plait.pipeline.compare import Comparison, compare
 from plait.pipeline.validate import validate, validator_findings
 
-TOLERANCE = 1e-5
+TOLERANCE = 1e-4 * 0.26  # [m]
 HAIR = "/World/Hair"
 
 
@@ -73,7 +73,7 @@ def test_the_strands_touch_the_ball(result):
 def test_a_change_is_seen(result, tmp_path, change):
     """So that the comparison can fail: five or ten percent of one parameter, one substep more."""
     new = simulated(FOLDER / SHOT, tmp_path / "out.usda", change)
-    assert largest(compare(result, new, TOLERANCE)) > 3.0 * TOLERANCE
+    assert largest(compare(result, new, TOLERANCE)) > 10.0 * TOLERANCE
 
 
 def test_rounding_of_the_input_stays_below(result, tmp_path):
