@@ -9,6 +9,7 @@ from plait.solver.contact.planes import ContactPlanes
 from plait.solver.strands.contact import contact_functions
 from plait.solver.strands.energy import joint_functions
 from plait.solver.strands.newton import newton_functions
+from plait.solver.strands.stretch import stretch_functions
 from plait.solver.strands.types import rod_types
 
 SDIRK2_GAMMA = 0.2928932188134524  # 1 - 1 / sqrt 2: L-stable and second order (Alexander 1977)
@@ -27,6 +28,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
     Method, Scratch, Report = types.Method, types.Scratch, types.Report
     eliminate, substitute, advance = newton.eliminate, newton.substitute, newton.advance
     joint_energy, signed_twist = joints.joint_energy, joints.signed_twist
+    stretch_energy = stretch_functions(real).stretch_energy
     touching, release = contact_functions(real).touching, contact_functions(real).release
 
     @wp.func(module=module)
@@ -340,7 +342,6 @@ def strand_kernels(real: type) -> SimpleNamespace:
         begin = rods.first_node[strand]
         end = rods.first_node[strand + 1]
         root = state.position[begin + 1]
-        ea = rods.stretch[strand]
         strain = real(0.0)
         kinetic = wp.float64(0.0)
         elastic = wp.float64(0.0)
@@ -355,7 +356,9 @@ def strand_kernels(real: type) -> SimpleNamespace:
             rest = rods.rest_length[node - 1]
             stretched = length / rest - real(1.0)
             strain = wp.max(strain, wp.abs(stretched))
-            elastic += wp.float64(real(0.5) * ea * rest * stretched * stretched)
+            elastic += wp.float64(
+                rest * stretch_energy(stretched, rods.stretch[strand], rods.stretch_beyond[strand])
+            )
             elastic += wp.float64(
                 joint_energy(
                     t, t_next, vec3(state.director[node - 2]), vec3(state.director[node - 1]),

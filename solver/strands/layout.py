@@ -78,9 +78,9 @@ class Layout:
         bend, twist = ((stiffening * k)[self.node_strand] / self.voronoi for k in (self.bend, self.twist))
         return self.turn_correction * bend, twist
 
-    def rest_length(self, tension: np.ndarray) -> np.ndarray:
-        """(node_count,) [m] of edges that have the drawn length under `tension` [N]."""
-        return self.edge_length / (1.0 + tension / self.stretch[self.node_strand])
+    def rest_length(self, tension: np.ndarray, stretch: np.ndarray) -> np.ndarray:
+        """(node_count,) [m] of edges that have the drawn length under `tension` [N]; stretch: strands' EA [N]."""
+        return self.edge_length / (1.0 + tension / stretch[self.node_strand])
 
     @property
     def strand_count(self) -> int:

@@ -14,6 +14,7 @@ from plait.solver.contact.planes import ContactPlanes
 from plait.solver.strands.blocks import block_functions
 from plait.solver.strands.contact import contact_functions
 from plait.solver.strands.energy import joint_functions
+from plait.solver.strands.stretch import stretch_functions
 from plait.solver.strands.types import rod_types
 
 
@@ -29,6 +30,7 @@ def newton_functions(real: type) -> SimpleNamespace:
     Rods, Scratch = types.Rods, types.Scratch
     Joint, joint, transport, signed_twist = joints.Joint, joints.joint, joints.transport, joints.signed_twist
     push, judge, contact_stiffness = contact.push, contact.judge, contact.contact_stiffness
+    tension = stretch_functions(real).tension
     cholesky, divide, divide_end = blocks.cholesky, blocks.divide, blocks.divide_end
     subtract_square, subtract_square_end = blocks.subtract_square, blocks.subtract_square_end
     subtract_product, forward, backward = blocks.subtract_product, blocks.forward, blocks.backward
@@ -57,6 +59,7 @@ def newton_functions(real: type) -> SimpleNamespace:
         first = rods.first_node[strand]
         count = rods.first_node[strand + 1] - first
         ea = rods.stretch[strand]
+        ea_beyond = rods.stretch_beyond[strand]
         zero = real(0.0)
         one = real(1.0)
         identity = wp.identity(n=3, dtype=real)
@@ -97,10 +100,12 @@ def newton_functions(real: type) -> SimpleNamespace:
                     rods.rest_twist[first + vertex], beta,
                 )  # fmt: skip
                 # Primal-dual stretch: the geometric part follows the dual tension, the force the true strain.
-                stiffness = ea / rods.rest_length[first + vertex]
-                tension = scratch.tension[base + vertex * stride]
-                across = (wp.max(tension, zero) + beta * wp.min(tension, zero)) * inverse_next
-                next_force = (stiffness * length - ea) * t_next
+                inverse_rest = one / rods.rest_length[first + vertex]
+                pull, slope = tension(length * inverse_rest - one, ea, ea_beyond)
+                stiffness = slope * inverse_rest
+                dual = scratch.tension[base + vertex * stride]
+                across = (wp.max(dual, zero) + beta * wp.min(dual, zero)) * inverse_next
+                next_force = pull * t_next
                 next_block = across * identity + (stiffness - across) * wp.outer(t_next, t_next)
                 x = x_next
                 inverse = inverse_next
@@ -254,6 +259,7 @@ def newton_functions(real: type) -> SimpleNamespace:
         first = rods.first_node[strand]
         count = rods.first_node[strand + 1] - first
         ea = rods.stretch[strand]
+        ea_beyond = rods.stretch_beyond[strand]
         half = real(0.5)
         one = real(1.0)
         x_old = scratch.position[base + stride]
@@ -271,9 +277,11 @@ def newton_functions(real: type) -> SimpleNamespace:
             e = x_next_old - x_old
             length = wp.length(e)
             t = e / length
-            linear = (ea / rods.rest_length[first + k]) * (length + wp.dot(t, step - moved)) - ea
-            tension = scratch.tension[slot]
-            scratch.tension[slot] = tension + fraction * (linear - tension)
+            rest = rods.rest_length[first + k]
+            pull, slope = tension(length / rest - one, ea, ea_beyond)
+            linear = pull + slope * wp.dot(t, step - moved) / rest
+            dual = scratch.tension[slot]
+            scratch.tension[slot] = dual + fraction * (linear - dual)
             t_new = wp.normalize(x_next_new - x_new)
             m = transport(t, t_new, scratch.director[slot])
             # A turn by 2 atan(angle / 2): the angle itself up to third order, and no trigonometry.

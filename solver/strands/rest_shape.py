@@ -111,8 +111,9 @@ class _Fit:
         rods.first_node = self.first_node
         rods.mass = self._hold(layout.mass)
         rods.force = self.force
-        rods.rest_length = self._hold(layout.rest_length(tension.numpy()))
+        rods.rest_length = self._hold(layout.rest_length(tension.numpy(), layout.stretch))
         rods.stretch = self._hold(layout.stretch)
+        rods.stretch_beyond = self._hold(np.zeros(layout.strand_count))
         rods.bend, rods.twist = stiffness
         rods.rest_curvature, rods.rest_twist = curvature, twist
         rods.segment = self._hold(layout.mean_segment)

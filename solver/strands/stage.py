@@ -16,12 +16,14 @@ from plait.solver.strands.kernels import strand_kernels
 from plait.solver.strands.layout import Layout, build_layout
 from plait.solver.strands.rest_shape import fit_rest_shapes
 from plait.solver.strands.scratch import allocate_scratch, count_chunks
+from plait.solver.strands.stretch import softened_stretch
 from plait.solver.strands.types import rod_types
 
 # A strand that does not converge is stepped in halves, quarters, ... of its substep, down to this many parts.
 MAX_PIECES = 16
 # Friction is full from ways of this part of a radius on.
 SLIP = 1.0e-2
+LEAST_TOLERANCE_FLOAT32 = 1.0e-3
 STATE_ARRAYS = ("position", "velocity", "director", "twist", "tension", "root_position", "root_rotation")
 
 
@@ -76,8 +78,9 @@ class StrandsStage:
         rods.first_node = hold(layout.first_node, wp.int32)
         rods.mass = hold(layout.mass)
         rods.force = hold(layout.force, types.vec3)
-        rods.rest_length = hold(layout.rest_length(shape.tension))
-        rods.stretch = hold(layout.stretch)
+        stretch = softened_stretch(layout, real)
+        rods.rest_length = hold(layout.rest_length(shape.tension, stretch))
+        rods.stretch, rods.stretch_beyond = hold(stretch), hold(layout.stretch - stretch)
         rods.bend, rods.twist = (hold(values) for values in layout.vertex_stiffness(shape.stiffening))
         rods.rest_curvature = hold(shape.curvature, types.vec2)
         rods.rest_twist = hold(shape.twist)
@@ -136,7 +139,7 @@ class StrandsStage:
         settings = self._model.settings.strands
         method = self._types.Method()
         method.stages = 2 if settings.integrator == "sdirk2" else 1
-        method.tolerance = settings.tolerance
+        method.tolerance = self._reachable(settings.tolerance)
         method.max_iterations = settings.max_iterations
         method.max_pieces = MAX_PIECES
         return method
@@ -157,6 +160,10 @@ class StrandsStage:
             radius=self.layout.radius,
             friction=self.layout.friction,
         )
+
+    def _reachable(self, tolerance: float) -> float:
+        """The tolerance, or what rounding lets float32 reach."""
+        return tolerance if self.real == wp.float64 else max(tolerance, LEAST_TOLERANCE_FLOAT32)
 
     # -- stepping ------------------------------------------------------------------------------------------
 
@@ -222,7 +229,7 @@ class StrandsStage:
         """
         method = self._make_method()
         method.step, method.stages, method.max_pieces = 0.0, 1, 1
-        method.tolerance, method.max_iterations = tolerance, max_iterations
+        method.tolerance, method.max_iterations = self._reachable(tolerance), max_iterations
         self._solve(method, self._held, self._all, constrained=False)
         self._held.velocity.zero_()
         return np.where(self._report.unconverged.numpy() > 0, -1, 1) * self._report.iterations.numpy()

@@ -39,7 +39,8 @@ def rod_types(real: type) -> SimpleNamespace:
         mass: wp.array(dtype=real)  # (node_count,) [kg] lumped
         force: wp.array(dtype=vec3)  # (node_count,) [N] weight and dead loads, world
         rest_length: wp.array(dtype=real)  # (node_count,) [m] of edge k
-        stretch: wp.array(dtype=real)  # (strand_count,) [N] EA
+        stretch: wp.array(dtype=real)  # (strand_count,) [N] EA, softened in float32 (`stretch.py`)
+        stretch_beyond: wp.array(dtype=real)  # (strand_count,) [N] what EA has more beyond the bounded strain
         bend: wp.array(dtype=real)  # (node_count,) [N m] EI over vertex k's Voronoi length
         twist: wp.array(dtype=real)  # (node_count,) [N m] GJ over the same
         rest_curvature: wp.array(dtype=vec2)  # (node_count,) [1] integrated over vertex k
