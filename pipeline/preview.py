@@ -22,7 +22,7 @@ from plait.pipeline.read.source import Source
 
 STILLS = (".png", ".jpg", ".jpeg")
 CLIPS = (".webp", ".gif")
-LARGEST = 8192
+LARGEST = 4096  # twice that is what many drivers can draw
 # Frames that decide what must fit into the picture.
 FRAMED = 9
 
