@@ -106,7 +106,10 @@ class _Run:
             return EXIT_DONE
         simulation = self._build()
         self.metrics.run["threads"] = simulation.model.launcher.threads
-        self.outputs = Outputs(self.shot, simulation.model.parts["strands"])
+        strands = simulation.model.parts["strands"]
+        for warning in strands.warnings:
+            self.progress.log("warning", text=warning)
+        self.outputs = Outputs(self.shot, strands)
         try:
             with self.writer:
                 return self._loop(simulation, self._resume(simulation), stop)

@@ -119,7 +119,7 @@ def main() -> None:
                 f"and substep (processor time with roots {processor:.3f}), {iterations:.2f} iterations",
                 flush=True,
             )
-            seen.append(best * total)
+            seen.append(processor * total)
     if options.growth:
         exponent = np.polyfit(np.log(counts), np.log(seen), 1)[0]
         print(f"growth exponent {exponent:.3f}")
