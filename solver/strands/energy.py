@@ -220,7 +220,17 @@ def joint_functions(real: type) -> SimpleNamespace:
     def signed_twist(ta: vec3, tb: vec3, ma: vec3, mb: vec3, before: real):
         """Angle from the transported director ma to mb about tb, unwrapped next to the angle `before` [rad]."""
         carried = transport(ta, tb, ma)
-        angle = wp.atan2(wp.dot(wp.cross(carried, mb), tb), wp.dot(carried, mb))
+        sine = wp.dot(wp.cross(carried, mb), tb)
+        cosine = wp.dot(carried, mb)
+        angle = real(0.0)
+        if wp.abs(sine) < real(0.1) * cosine:
+            # The series of the arc tangent, to 1e-14: most joints are hardly twisted.
+            r = sine / cosine
+            q = r * r
+            angle = real(1.0 / 7.0) - q * (real(1.0 / 9.0) - q * (real(1.0 / 11.0) - q * real(1.0 / 13.0)))
+            angle = r * (real(1.0) - q * (real(1.0 / 3.0) - q * (real(0.2) - q * angle)))
+        else:
+            angle = wp.atan2(sine, cosine)
         turn = real(6.283185307179586)
         return angle + turn * wp.round((before - angle) / turn)
 

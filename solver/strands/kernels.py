@@ -27,6 +27,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
     Rods, RodState, Roots = types.Rods, types.RodState, types.Roots
     Method, Scratch, Report = types.Method, types.Scratch, types.Report
     eliminate, substitute, advance = newton.eliminate, newton.substitute, newton.advance
+    measure_edges = newton.measure_edges
     joint_energy, signed_twist = joints.joint_energy, joints.signed_twist
     stretch_energy = stretch_functions(real).stretch_energy
     touching, release = contact_functions(real).touching, contact_functions(real).release
@@ -97,6 +98,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
         What is left after a full step is bounded by the step itself, and by the next one: Newton contracts at
         least as fast as from the step before to this one, with a factor for safety.
         """
+        measure_edges(scratch, rods.first_node[strand + 1] - rods.first_node[strand], base, stride)
         small = method.tolerance * rods.segment[strand]
         iterations = wp.int32(0)
         previous = real(0.0)

@@ -20,7 +20,7 @@ from plait.solver.strands.types import rod_types
 
 @cache
 def newton_functions(real: type) -> SimpleNamespace:
-    """Device functions `eliminate`, `substitute`, `advance` for `real`."""
+    """Device functions `measure_edges`, `eliminate`, `substitute`, `advance` for `real`."""
     types = rod_types(real)
     joints = joint_functions(real)
     blocks = block_functions(real)
@@ -31,9 +31,24 @@ def newton_functions(real: type) -> SimpleNamespace:
     Joint, joint, transport, signed_twist = joints.Joint, joints.joint, joints.transport, joints.signed_twist
     push, judge, contact_stiffness = contact.push, contact.judge, contact.contact_stiffness
     tension = stretch_functions(real).tension
-    cholesky, divide, divide_end = blocks.cholesky, blocks.divide, blocks.divide_end
+    factorise, divide, divide_end = blocks.factorise, blocks.divide, blocks.divide_end
     subtract_square, subtract_square_end = blocks.subtract_square, blocks.subtract_square_end
     subtract_product, forward, backward = blocks.subtract_product, blocks.forward, blocks.backward
+
+    @wp.func(module=module)
+    def measure_edges(scratch: Scratch, count: int, base: int, stride: int):
+        """Tangents and lengths of the present shape; `advance` keeps them."""
+        x = scratch.position[base]
+        for k in range(count - 1):
+            slot = base + k * stride
+            x_next = scratch.position[slot + stride]
+            e = x_next - x
+            length = wp.length(e)
+            inverse = real(1.0) / length
+            scratch.tangent[slot] = inverse * e
+            scratch.length[slot] = length
+            scratch.inverse_length[slot] = inverse
+            x = x_next
 
     @wp.func(module=module)
     def eliminate(
@@ -65,10 +80,8 @@ def newton_functions(real: type) -> SimpleNamespace:
         identity = wp.identity(n=3, dtype=real)
         stiffness_of_contact = contact_stiffness(rods, strand, inertia)
 
-        x = scratch.position[base + stride]
-        e = x - scratch.position[base]
-        inverse = one / wp.length(e)
-        t = inverse * e
+        inverse = scratch.inverse_length[base]
+        t = scratch.tangent[base]
         m = scratch.director[base]
         strain_force = vec3()
         stretch_block = mat33()
@@ -79,7 +92,7 @@ def newton_functions(real: type) -> SimpleNamespace:
         edge_gradient = vec3()
         factor2 = wp.identity(n=4, dtype=real)
         factor1 = wp.identity(n=4, dtype=real)
-        lower1_before = mat44()
+        undivided1_before = mat44()
         y2 = vec4()
         y1 = vec4()
         definite = wp.bool(True)
@@ -88,11 +101,9 @@ def newton_functions(real: type) -> SimpleNamespace:
             next_force = vec3()
             next_block = mat33()
             if vertex < count - 1:
-                x_next = scratch.position[base + (vertex + 1) * stride]
-                e_next = x_next - x
-                length = wp.length(e_next)
-                inverse_next = one / length
-                t_next = inverse_next * e_next
+                length = scratch.length[base + vertex * stride]
+                inverse_next = scratch.inverse_length[base + vertex * stride]
+                t_next = scratch.tangent[base + vertex * stride]
                 m_next = scratch.director[base + vertex * stride]
                 here = joint(
                     t, inverse, t_next, inverse_next, m, m_next, scratch.twist[base + vertex * stride],
@@ -100,14 +111,13 @@ def newton_functions(real: type) -> SimpleNamespace:
                     rods.rest_twist[first + vertex], beta,
                 )  # fmt: skip
                 # Primal-dual stretch: the geometric part follows the dual tension, the force the true strain.
-                inverse_rest = one / rods.rest_length[first + vertex]
+                inverse_rest = rods.inverse_rest_length[first + vertex]
                 pull, slope = tension(length * inverse_rest - one, ea, ea_beyond)
                 stiffness = slope * inverse_rest
                 dual = scratch.tension[base + vertex * stride]
                 across = (wp.max(dual, zero) + beta * wp.min(dual, zero)) * inverse_next
                 next_force = pull * t_next
                 next_block = across * identity + (stiffness - across) * wp.outer(t_next, t_next)
-                x = x_next
                 inverse = inverse_next
                 t = t_next
                 m = m_next
@@ -167,15 +177,16 @@ def newton_functions(real: type) -> SimpleNamespace:
                         -c0[1, 0], -c0[1, 1], -c0[1, 2],
                         -c0[2, 0], -c0[2, 1], -c0[2, 2],
                     )  # fmt: skip
-                    lower2 = divide_end(lower2, factor2)
-                    lower1 = subtract_product(lower1, lower2, lower1_before)
-                    diagonal = subtract_square_end(diagonal, lower2)
+                    undivided2, lower2 = divide_end(lower2, factor2)
+                    lower1 = subtract_product(lower1, lower2, undivided1_before)
+                    diagonal = subtract_square_end(diagonal, lower2, undivided2)
                 if k >= 2:
-                    lower1 = divide(lower1, factor1)
-                    diagonal = subtract_square(diagonal, lower1)
-                factor, pivot = cholesky(diagonal)
-                if not (pivot > zero):
-                    definite = False
+                    undivided1, lower1 = divide(lower1, factor1)
+                    diagonal = subtract_square(diagonal, lower1, undivided1)
+                    undivided1_before = undivided1
+                factor, positive = factorise(diagonal)
+                if not positive:
+                    definite = wp.bool(False)
                     break
                 right = vec4(-(joint2.gradient_tb + joint1.gradient_ta), -g[0], -g[1], -g[2])
                 y = forward(factor, right - lower1 * y1 - lower2 * vec3(y2[1], y2[2], y2[3]))
@@ -186,7 +197,6 @@ def newton_functions(real: type) -> SimpleNamespace:
                 scratch.solution[slot] = y
                 factor2 = factor1
                 factor1 = factor
-                lower1_before = lower1
                 y2 = y1
                 y1 = y
             joint2 = joint1
@@ -208,34 +218,28 @@ def newton_functions(real: type) -> SimpleNamespace:
         l2 = mat43()
         l2_after = mat43()
         z2 = vec4()
-        x_next = scratch.position[base + (count - 1) * stride]
         for i in range(count - 2):
             k = count - 2 - i
             slot = base + k * stride
             end = wp.transpose(l2_after) * z2
-            y = scratch.solution[slot] - wp.transpose(l1) * z1 - vec4(real(0.0), end[0], end[1], end[2])
-            z = backward(scratch.factor[slot], y)
+            known = wp.transpose(l1) * z1 + vec4(real(0.0), end[0], end[1], end[2])
+            z = backward(scratch.factor[slot], scratch.solution[slot], known)
             scratch.solution[slot] = z
             furthest = wp.max(furthest, z[1] * z[1] + z[2] * z[2] + z[3] * z[3])
             turn = wp.max(turn, z[0] * z[0])
             # Edge k + 1 turns by the part of its end nodes' difference that is across it.
             if i > 0:
-                e = x_next - scratch.position[slot + stride]
                 d = vec3(z1[1] - z[1], z1[2] - z[2], z1[3] - z[3])
-                ee = wp.dot(e, e)
-                across = wp.cross(e, d)
-                turn = wp.max(turn, wp.dot(across, across) / (ee * ee))
-                x_next = scratch.position[slot + stride]
+                across = scratch.inverse_length[slot + stride] * wp.cross(scratch.tangent[slot + stride], d)
+                turn = wp.max(turn, wp.dot(across, across))
             l2_after = l2
             l1 = scratch.lower1[slot]
             l2 = scratch.lower2[slot]
             z2 = z1
             z1 = z
-        e = x_next - scratch.position[base + stride]
         d = vec3(z1[1], z1[2], z1[3])
-        ee = wp.dot(e, e)
-        across = wp.cross(e, d)
-        turn = wp.max(turn, wp.dot(across, across) / (ee * ee))
+        across = scratch.inverse_length[base + stride] * wp.cross(scratch.tangent[base + stride], d)
+        turn = wp.max(turn, wp.dot(across, across))
         return wp.sqrt(furthest), wp.sqrt(turn)
 
     @wp.func(module=module)
@@ -262,9 +266,8 @@ def newton_functions(real: type) -> SimpleNamespace:
         ea_beyond = rods.stretch_beyond[strand]
         half = real(0.5)
         one = real(1.0)
-        x_old = scratch.position[base + stride]
-        x_new = x_old
-        t_before = wp.normalize(x_old - scratch.position[base])
+        x_new = scratch.position[base + stride]
+        t_before = scratch.tangent[base]
         m_before = scratch.director[base]
         moved = vec3()
         under = wp.bool(False)
@@ -274,21 +277,27 @@ def newton_functions(real: type) -> SimpleNamespace:
             step = vec3(z[1], z[2], z[3])
             x_next_old = scratch.position[slot + stride]
             x_next_new = x_next_old + fraction * step
-            e = x_next_old - x_old
-            length = wp.length(e)
-            t = e / length
-            rest = rods.rest_length[first + k]
-            pull, slope = tension(length / rest - one, ea, ea_beyond)
-            linear = pull + slope * wp.dot(t, step - moved) / rest
+            t = scratch.tangent[slot]
+            inverse_rest = rods.inverse_rest_length[first + k]
+            pull, slope = tension(scratch.length[slot] * inverse_rest - one, ea, ea_beyond)
+            linear = pull + slope * inverse_rest * wp.dot(t, step - moved)
             dual = scratch.tension[slot]
             scratch.tension[slot] = dual + fraction * (linear - dual)
-            t_new = wp.normalize(x_next_new - x_new)
+            e = x_next_new - x_new
+            length = wp.length(e)
+            inverse = one / length
+            t_new = inverse * e
+            scratch.tangent[slot] = t_new
+            scratch.length[slot] = length
+            scratch.inverse_length[slot] = inverse
             m = transport(t, t_new, scratch.director[slot])
             # A turn by 2 atan(angle / 2): the angle itself up to third order, and no trigonometry.
             q = half * fraction * z[0]
             n = wp.cross(t_new, m)
-            m = (one - q * q) * m + (real(2.0) * q) * n
-            m = wp.normalize(m - wp.dot(m, t_new) * t_new)
+            m = (one / (one + q * q)) * ((one - q * q) * m + (real(2.0) * q) * n)
+            # Rounding alone takes it from unit length and from the plane across; one Newton step puts it back.
+            m = m - wp.dot(m, t_new) * t_new
+            m = (real(1.5) - half * wp.dot(m, m)) * m
             scratch.director[slot] = m
             scratch.position[slot + stride] = x_next_new
             scratch.twist[slot] = signed_twist(t_before, t_new, m_before, m, scratch.twist[slot])
@@ -301,9 +310,10 @@ def newton_functions(real: type) -> SimpleNamespace:
                 under = under or sank
             t_before = t_new
             m_before = m
-            x_old = x_next_old
             x_new = x_next_new
             moved = step
         return under
 
-    return SimpleNamespace(eliminate=eliminate, substitute=substitute, advance=advance)
+    return SimpleNamespace(
+        measure_edges=measure_edges, eliminate=eliminate, substitute=substitute, advance=advance
+    )

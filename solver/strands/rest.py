@@ -21,7 +21,7 @@ _types, _functions = rod_types(REAL), joint_functions(REAL)
 vec2, vec3 = _types.vec2, _types.vec3
 Rods, Scratch = _types.Rods, _types.Scratch
 joint, transport = _functions.joint, _functions.transport
-eliminate = newton_functions(REAL).eliminate
+eliminate, measure_edges = newton_functions(REAL).eliminate, newton_functions(REAL).measure_edges
 
 
 @wp.kernel(enable_backward=False, module=MODULE)
@@ -145,6 +145,7 @@ def find_stable(
             scratch.director[slot] = director[node]
             scratch.twist[slot] = zero
             scratch.tension[slot] = tension[node]
+        measure_edges(scratch, rods.first_node[strand + 1] - begin, base, stride)
         definite = eliminate(
             rods, scratch, no_planes, False, wp.vec3d(), zero, strand, base, stride, zero, REAL(1.0)
         )

@@ -111,7 +111,8 @@ class _Fit:
         rods.first_node = self.first_node
         rods.mass = self._hold(layout.mass)
         rods.force = self.force
-        rods.rest_length = self._hold(layout.rest_length(tension.numpy(), layout.stretch))
+        rest_length = layout.rest_length(tension.numpy(), layout.stretch)
+        rods.rest_length, rods.inverse_rest_length = self._hold(rest_length), self._hold(1.0 / rest_length)
         rods.stretch = self._hold(layout.stretch)
         rods.stretch_beyond = self._hold(np.zeros(layout.strand_count))
         rods.bend, rods.twist = stiffness

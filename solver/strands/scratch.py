@@ -28,10 +28,10 @@ def allocate_scratch(real: type, layout: Layout, chunks: int, device: wp.Device)
     # On a GPU, neighbouring threads read neighbouring entries; on a CPU a strand is one run.
     scratch.chunk_stride, scratch.node_stride = (1, chunks) if device.is_cuda else (longest, 1)
     size = longest * chunks
-    vectors = ("start", "start_velocity", "stage_velocity", "start_of_stage", "target", "position", "director")
+    vectors = ("start", "start_velocity", "stage_velocity", "start_of_stage", "target")
     fields = {
-        types.vec3: vectors,
-        real: ("twist", "tension"),
+        types.vec3: (*vectors, "position", "director", "tangent"),
+        real: ("length", "inverse_length", "twist", "tension"),
         types.mat44: ("factor", "lower1"),
         types.mat43: ("lower2",),
         types.vec4: ("solution",),

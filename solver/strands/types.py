@@ -39,6 +39,7 @@ def rod_types(real: type) -> SimpleNamespace:
         mass: wp.array(dtype=real)  # (node_count,) [kg] lumped
         force: wp.array(dtype=vec3)  # (node_count,) [N] weight and dead loads, world
         rest_length: wp.array(dtype=real)  # (node_count,) [m] of edge k
+        inverse_rest_length: wp.array(dtype=real)  # (node_count,) [1/m]
         stretch: wp.array(dtype=real)  # (strand_count,) [N] EA, softened in float32 (`stretch.py`)
         stretch_beyond: wp.array(dtype=real)  # (strand_count,) [N] what EA has more beyond the bounded strain
         bend: wp.array(dtype=real)  # (node_count,) [N m] EI over vertex k's Voronoi length
@@ -97,10 +98,13 @@ def rod_types(real: type) -> SimpleNamespace:
         target: wp.array(dtype=vec3)  # where inertia alone would lead
         position: wp.array(dtype=vec3)
         director: wp.array(dtype=vec3)
+        tangent: wp.array(dtype=vec3)  # of edge k, unit
+        length: wp.array(dtype=real)  # [m] of edge k
+        inverse_length: wp.array(dtype=real)  # [1/m]
         twist: wp.array(dtype=real)
         tension: wp.array(dtype=real)
         pressure: wp.array(dtype=real)  # [N] of each of a node's planes, in the solve before
-        factor: wp.array(dtype=mat44)  # diagonal block's factor
+        factor: wp.array(dtype=mat44)  # diagonal block's factor, see `blocks.py`
         lower1: wp.array(dtype=mat44)  # block towards the segment before
         lower2: wp.array(dtype=mat43)  # block towards the one before that, whose turn takes no part
         solution: wp.array(dtype=vec4)  # (angle, displacement) of segment k: its director, its end node
