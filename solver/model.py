@@ -31,8 +31,14 @@ class Stage(Protocol):
     def begin_frame(self, state: State, frame: Interval) -> None:
         """Decides what this frame can skip; called before the frame's substeps."""
 
-    def step(self, state: State, substep: Interval) -> None:
-        """Moves its part of `state` from substep.start to substep.end, in place."""
+    def step(self, state: State, substep: Interval, last_resort: bool) -> bool:
+        """Moves its part of `state` from substep.start to substep.end, in place; whether the step stands.
+
+        False asks for shorter steps, and leaves `state` so that `retract` can undo it; never with `last_resort`.
+        """
+
+    def retract(self, state: State, substep: Interval) -> None:
+        """Undoes a `step` that does not stand, its own or that of a stage after it."""
 
     def end_frame(self, state: State, frame: Interval) -> dict[str, Any]:
         """Checks what it made (raises `Diverged`) and returns this frame's metrics."""

@@ -74,12 +74,18 @@ class KinematicsStage:
         for collider in self.in_reach:
             self._place(collider, self.end, frame.start)
 
-    def step(self, state: State, substep: Interval) -> None:
+    def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
         """Moves roots and the colliders in reach to the substep's end; what was the end becomes the start."""
         self.start, self.end = self.end, self.start
         self.place_roots(substep.end)
         for collider in self.in_reach:
             self._place(collider, self.end, substep.end)
+        return True
+
+    def retract(self, state: State, substep: Interval) -> None:
+        """The surfaces at the substep's start are the present ones again, and so are the roots."""
+        self.start, self.end = self.end, self.start
+        self.place_roots(substep.start)
 
     def end_frame(self, state: State, frame: Interval) -> dict[str, Any]:
         """How many surfaces there are and were in reach, the names skipped, and the points skinned."""

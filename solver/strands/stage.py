@@ -21,6 +21,8 @@ from plait.solver.strands.types import rod_types
 
 # A strand that does not converge is stepped in halves, quarters, ... of its substep, down to this many parts.
 MAX_PIECES = 16
+# A strand that a substep in contact stretches by more has been torn: its planes are out of its reach.
+TORN = 0.02
 # Friction is full from ways of this part of a radius on.
 SLIP = 1.0e-2
 LEAST_TOLERANCE_FLOAT32 = 1.0e-3
@@ -60,6 +62,7 @@ class StrandsStage:
         self._iterations: list[np.ndarray] = []
         self._unconverged = 0
         self._subdivided = 0
+        self._let_go_count = 0
 
     # -- building ------------------------------------------------------------------------------------------
 
@@ -170,33 +173,47 @@ class StrandsStage:
 
     def begin_frame(self, state: State, frame: Interval) -> None:
         self._iterations.clear()
-        self._unconverged = self._subdivided = 0
+        self._unconverged = self._subdivided = self._let_go_count = 0
         if self._contact is not None:
             self._contact.begin_frame()
 
-    def step(self, state: State, substep: Interval) -> None:
-        """One implicit substep of every strand; with surfaces in reach, solve and detection in turns."""
+    def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
+        """One implicit substep of every strand; with surfaces in reach, solve and detection in turns.
+
+        Does not stand where contact tears a strand, or keeps it from converging: bodies then move too far at once.
+        """
         self._method.step = substep.length
         self._method.warm = 0
+        stands = True
         if self._contact is None or not self._contact.active:
             self._solve(self._method, self._held, self._all, constrained=False)
         else:
-            self._step_in_contact(substep.length)
-        self._count()
+            stands = self._step_in_contact(substep.length, last_resort)
+        self._count(stands)
+        return stands
 
-    def _step_in_contact(self, length: float) -> None:
+    def retract(self, state: State, substep: Interval) -> None:
+        """Nothing: a step that does not stand has left the state alone."""
+
+    def _step_in_contact(self, length: float, last_resort: bool) -> bool:
         """First without contact; then what broke a plane again with planes, from where it is, while any does."""
         contact, held, result, flags = self._contact, self._held, self._result, self._flags
         contact.begin_substep(length)
         self._solve(self._method, result, self._all, constrained=False)
         flags.fill_(1)
-        broken = contact.examine(held.position, result.position, flags)
+        broken = first_broken = contact.examine(held.position, result.position, flags)
         self._method.warm = 1
         for _ in range(self._model.settings.contact.passes):
             if broken == 0:
                 break
             self._solve(self._method, result, flags, constrained=True)
             broken = contact.examine(held.position, result.position, flags)
+        if first_broken:
+            torn, failed = self._judge_contact()
+            if not last_resort and (torn.any() or failed.any()):
+                return False
+            if torn.any():
+                self._let_go(torn)
         contact.guard(held.position, result.position, flags)
         if broken:
             inputs = [flags, self.rods.first_node, result.position]
@@ -205,6 +222,30 @@ class StrandsStage:
             )
         for name in STATE_ARRAYS:
             wp.copy(getattr(held, name), getattr(result, name))
+        return True
+
+    def _judge_contact(self) -> tuple[np.ndarray, np.ndarray]:
+        """(strand_count,) bool each: strands in contact that the substep tore, that did not converge."""
+        touching = self._report.contacts.numpy() > 0
+        stretched = self._strain(self._result) - self._strain(self._held)
+        return touching & ~(stretched <= TORN), touching & (self._report.unconverged.numpy() > 0)
+
+    def _strain(self, rods: Any) -> np.ndarray:
+        """(strand_count,) the largest strain of each strand."""
+        self._launcher.launch(self._kernels.measure, self.layout.strand_count, [self.rods, rods], [self._measures])
+        return self._measures.numpy()[:, 0].copy()
+
+    def _let_go(self, torn: np.ndarray) -> None:
+        """Strands whose contacts are out of their reach go as if nothing were in their way.
+
+        Where a body has jumped onto them they are then led out of it, like hair that starts inside.
+        """
+        flags = wp.array(torn.astype(np.int32), dtype=wp.int32, device=self._launcher.device)
+        self._method.warm = 0
+        self._solve(self._method, self._result, flags, constrained=False)
+        self._contact.examine(self._held.position, self._result.position, flags)
+        self._flags.assign(np.where(torn, 0, self._flags.numpy()).astype(np.int32))
+        self._let_go_count += int(torn.sum())
 
     def _solve(self, method: Any, out: Any, active: wp.array, *, constrained: bool) -> None:
         roots = self._types.Roots()
@@ -217,8 +258,10 @@ class StrandsStage:
             self._kernels.solve, self._chunks, inputs, [out, self._report], work_per_item=nodes_a_chunk
         )
 
-    def _count(self) -> None:
+    def _count(self, stands: bool) -> None:
         self._iterations.append(self._report.iterations.numpy().copy())
+        if not stands:
+            return
         self._unconverged += int(self._report.unconverged.numpy().sum())
         self._subdivided += int((self._report.pieces.numpy() > 1).sum())
 
@@ -252,6 +295,7 @@ class StrandsStage:
             "iterations_max": int(iterations.max()),
             "unconverged": self._unconverged,
             "subdivided": self._subdivided,
+            "let_go": self._let_go_count,
             "stiffened": self._stiffened,
             "contacts": int(self._report.contacts.numpy().sum()),
             "strain_max": float(values[:, 0].max()),
