@@ -232,7 +232,7 @@ def joint_functions(real: type) -> SimpleNamespace:
         else:
             angle = wp.atan2(sine, cosine)
         turn = real(6.283185307179586)
-        return angle + turn * wp.round((before - angle) / turn)
+        return angle + turn * wp.round((before - angle) * real(0.15915494309189535))
 
     return SimpleNamespace(
         Joint=Joint,

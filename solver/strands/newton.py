@@ -83,13 +83,26 @@ def newton_functions(real: type) -> SimpleNamespace:
         inverse = scratch.inverse_length[base]
         t = scratch.tangent[base]
         m = scratch.director[base]
-        strain_force = vec3()
-        stretch_block = mat33()
-
-        joint2 = Joint()  # of vertex k
-        joint1 = Joint()  # of vertex k + 1
-        edge_block = mat33()  # of edge k
-        edge_gradient = vec3()
+        # What concerns one edge alone: (e e), (e turn), (turn turn) blocks and gradients. First of edge k, then of
+        # the edge whose second joint is yet to come. And what couples the edges of joints k and k + 1.
+        block = mat33()
+        block_turn = vec3()
+        turn_block = zero
+        gradient = vec3()
+        turn_gradient = zero
+        half_block = mat33()
+        half_block_turn = vec3()
+        half_turn_block = zero
+        half_gradient = vec3()
+        half_turn_gradient = zero
+        eb_ea0 = mat33()
+        eb_ta0 = vec3()
+        ea_tb0 = vec3()
+        tb_ta0 = zero
+        eb_ea1 = mat33()
+        eb_ta1 = vec3()
+        ea_tb1 = vec3()
+        tb_ta1 = zero
         factor2 = wp.identity(n=4, dtype=real)
         factor1 = wp.identity(n=4, dtype=real)
         undivided1_before = mat44()
@@ -122,23 +135,20 @@ def newton_functions(real: type) -> SimpleNamespace:
                 t = t_next
                 m = m_next
             # Edge vertex - 1 is complete now, and with it the row of segment k = vertex - 2.
-            block_after = stretch_block + joint1.eb_eb + here.ea_ea
-            gradient_after = strain_force + joint1.gradient_eb + here.gradient_ea
+            block_after = half_block + here.ea_ea
+            gradient_after = half_gradient + here.gradient_ea
             k = vertex - 2
             if k >= 1:
                 node = first + k + 1
                 mass = rods.mass[node] * inertia
                 x_end = scratch.position[base + (k + 1) * stride]
                 offset = x_end - scratch.target[base + (k + 1) * stride]
-                g = mass * offset - rods.force[node] + edge_gradient - gradient_after
-                c0 = joint2.eb_ea
-                c1 = joint1.eb_ea
-                p = joint2.eb_tb + joint1.ea_ta
-                tx = p - joint1.eb_ta
-                d = mass * identity + edge_block + block_after - c1 - wp.transpose(c1)
+                g = mass * offset - rods.force[node] + gradient - gradient_after
+                tx = block_turn - eb_ta1
+                d = mass * identity + block + block_after - eb_ea1 - wp.transpose(eb_ea1)
                 if constrained:
                     slot_end = base + (k + 1) * stride
-                    block, pushed = push(
+                    contact_block, pushed = push(
                         planes,
                         scratch,
                         node,
@@ -149,12 +159,12 @@ def newton_functions(real: type) -> SimpleNamespace:
                         stiffness_of_contact,
                         rods.slip[strand],
                     )
-                    d += block
+                    d += contact_block
                     g += pushed
-                b = c0 + c1 - edge_block
-                ty = joint2.ea_tb - p
+                b = eb_ea0 + eb_ea1 - block
+                ty = ea_tb0 - block_turn
                 diagonal = mat44(
-                    joint2.tb_tb + joint1.ta_ta, tx[0], tx[1], tx[2],
+                    turn_block, tx[0], tx[1], tx[2],
                     tx[0], d[0, 0], d[0, 1], d[0, 2],
                     tx[1], d[1, 0], d[1, 1], d[1, 2],
                     tx[2], d[2, 0], d[2, 1], d[2, 2],
@@ -162,20 +172,18 @@ def newton_functions(real: type) -> SimpleNamespace:
                 lower1 = mat44()
                 lower2 = mat43()
                 if k >= 2:
-                    r = joint2.eb_ta
                     lower1 = mat44(
-                        joint2.tb_ta, ty[0], ty[1], ty[2],
-                        r[0], b[0, 0], b[0, 1], b[0, 2],
-                        r[1], b[1, 0], b[1, 1], b[1, 2],
-                        r[2], b[2, 0], b[2, 1], b[2, 2],
+                        tb_ta0, ty[0], ty[1], ty[2],
+                        eb_ta0[0], b[0, 0], b[0, 1], b[0, 2],
+                        eb_ta0[1], b[1, 0], b[1, 1], b[1, 2],
+                        eb_ta0[2], b[2, 0], b[2, 1], b[2, 2],
                     )  # fmt: skip
                 if k >= 3:
-                    q = joint2.ea_tb
                     lower2 = mat43(
-                        -q[0], -q[1], -q[2],
-                        -c0[0, 0], -c0[0, 1], -c0[0, 2],
-                        -c0[1, 0], -c0[1, 1], -c0[1, 2],
-                        -c0[2, 0], -c0[2, 1], -c0[2, 2],
+                        -ea_tb0[0], -ea_tb0[1], -ea_tb0[2],
+                        -eb_ea0[0, 0], -eb_ea0[0, 1], -eb_ea0[0, 2],
+                        -eb_ea0[1, 0], -eb_ea0[1, 1], -eb_ea0[1, 2],
+                        -eb_ea0[2, 0], -eb_ea0[2, 1], -eb_ea0[2, 2],
                     )  # fmt: skip
                     undivided2, lower2 = divide_end(lower2, factor2)
                     lower1 = subtract_product(lower1, lower2, undivided1_before)
@@ -188,7 +196,7 @@ def newton_functions(real: type) -> SimpleNamespace:
                 if not positive:
                     definite = wp.bool(False)
                     break
-                right = vec4(-(joint2.gradient_tb + joint1.gradient_ta), -g[0], -g[1], -g[2])
+                right = vec4(-turn_gradient, -g[0], -g[1], -g[2])
                 y = forward(factor, right - lower1 * y1 - lower2 * vec3(y2[1], y2[2], y2[3]))
                 slot = base + k * stride
                 scratch.factor[slot] = factor
@@ -199,12 +207,24 @@ def newton_functions(real: type) -> SimpleNamespace:
                 factor1 = factor
                 y2 = y1
                 y1 = y
-            joint2 = joint1
-            joint1 = here
-            edge_block = block_after
-            edge_gradient = gradient_after
-            stretch_block = next_block
-            strain_force = next_force
+            block = block_after
+            block_turn = half_block_turn + here.ea_ta
+            turn_block = half_turn_block + here.ta_ta
+            gradient = gradient_after
+            turn_gradient = half_turn_gradient + here.gradient_ta
+            half_block = next_block + here.eb_eb
+            half_block_turn = here.eb_tb
+            half_turn_block = here.tb_tb
+            half_gradient = next_force + here.gradient_eb
+            half_turn_gradient = here.gradient_tb
+            eb_ea0 = eb_ea1
+            eb_ta0 = eb_ta1
+            ea_tb0 = ea_tb1
+            tb_ta0 = tb_ta1
+            eb_ea1 = here.eb_ea
+            eb_ta1 = here.eb_ta
+            ea_tb1 = here.ea_tb
+            tb_ta1 = here.tb_ta
         return definite
 
     @wp.func(module=module)
