@@ -115,9 +115,10 @@ class _RootGroup:
 
 def _arc_lengths(strands: Strands) -> np.ndarray:
     """(strand_count,) [m]."""
-    lengths = np.linalg.norm(np.diff(strands.points, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(lengths)])
-    return along[strands.offsets[1:] - 1] - along[strands.offsets[:-1]]
+    with np.errstate(invalid="ignore"):  # points that are not finite are refused by name with the strands
+        lengths = np.linalg.norm(np.diff(strands.points, axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(lengths)])
+        return along[strands.offsets[1:] - 1] - along[strands.offsets[:-1]]
 
 
 def _largest_radii(strands: Strands) -> np.ndarray:
