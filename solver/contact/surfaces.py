@@ -18,6 +18,10 @@ from plait.solver.model import Interval, Model
 from plait.solver.state import State
 
 
+# Cost of a node in units of `Launcher.launch`.
+NODE_WORK = 20
+
+
 class SurfaceContact:
     """Contact of strand nodes with moving triangle surfaces, for one set of strands.
 
@@ -67,7 +71,7 @@ class SurfaceContact:
         nodes.surface = wp.array(np.concatenate(grown_on), dtype=wp.int32, device=device)
         nodes.length = wp.array(_lengths(position.numpy(), first_node), dtype=wp.float64, device=device)
         self._nodes = nodes
-        self._work = max(1, node_count // self.count)
+        self._work = NODE_WORK * max(1, node_count // self.count)
         self.planes: ContactPlanes = allocate_planes(node_count, device)
         self._plane_body = wp.full(node_count * PLANES_A_NODE, -1, dtype=wp.int32, device=device)
         self._memory = Memory()

@@ -21,6 +21,8 @@ from plait.solver.strands.types import rod_types
 
 # A strand that does not converge is stepped in halves, quarters, ... of its substep, down to this many parts.
 MAX_PIECES = 16
+# Cost of a node's solve in units of `Launcher.launch`.
+NODE_WORK = 50
 # A strand that a substep in contact stretches by more has been torn: its planes are out of its reach.
 TORN = 0.02
 # Friction is full from ways of this part of a radius on.
@@ -255,7 +257,7 @@ class StrandsStage:
         planes = self._contact.planes if constrained else self._no_planes
         inputs = [self._chunks, active, constrained, planes, method, self.rods, self._held, roots, self._scratch]
         self._launcher.launch(
-            self._kernels.solve, self._chunks, inputs, [out, self._report], work_per_item=nodes_a_chunk
+            self._kernels.solve, self._chunks, inputs, [out, self._report], work_per_item=NODE_WORK * nodes_a_chunk
         )
 
     def _count(self, stands: bool) -> None:
