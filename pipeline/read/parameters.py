@@ -93,8 +93,9 @@ PARAMETERS = (
         high=1e12, authored=("physics:curvesTwistStiffness",), kilograms=1, meters=3, zero_means_unset=True,
     ),
     Parameter(
-        "damping", "1/s", "rate at which motion dies out, air and neighbours together",
-        default=2.0, low=0.0, high=1e5, low_allowed=True,
+        "damping", "1/s", "rate at which motion against the root dies out, air and neighbours together",
+        default_text="2 + 8 (8e-5 / thickness)², the latter air's drag: 10 for a human hair",
+        low=0.0, high=1e5, low_allowed=True,
     ),
     Parameter(
         "friction", "1", "Coulomb coefficient against bodies; a body's own comes before the strand's",

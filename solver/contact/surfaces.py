@@ -17,7 +17,6 @@ from plait.solver.kinematics.colliders import Collider
 from plait.solver.model import Interval, Model
 from plait.solver.state import State
 
-
 # Cost of a node in units of `Launcher.launch`.
 NODE_WORK = 20
 

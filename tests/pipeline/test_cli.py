@@ -1,4 +1,4 @@
-"""Through the command line: bad input and bad usage end with the documented code, one line, and nothing written."""
+"""The command line: bad input and bad usage end with the right code, one line, and nothing written."""
 
 from __future__ import annotations
 

@@ -54,6 +54,12 @@ def test_zero_asks_for_the_default_in_usdphysics(read) -> None:
     assert _strands(read, "", "float physics:density = 0").density[0] == 1300.0
 
 
+def test_thin_hair_is_damped_by_air(read) -> None:
+    """Drag a length and speed is that of any thin cylinder, mass goes with thickness squared: 2 + 8 at 80 um."""
+    np.testing.assert_allclose(_strands(read, width=8e-5).damping, 10.0, rtol=1e-6)
+    np.testing.assert_allclose(_strands(read, width=16e-5).damping, 4.0, rtol=1e-6)
+
+
 def test_stage_units(read) -> None:
     """Centimetres: force is kg cm/s2 = 1e-2 N, EI kg cm3/s2 = 1e-6 N m2, pressure kg/(cm s2) = 100 Pa."""
     on_material = """float physics:density = 0.002
