@@ -205,11 +205,14 @@ class StrandsStage:
         flags.fill_(1)
         broken = first_broken = contact.examine(held.position, result.position, flags)
         self._method.warm = 1
+        # Rather the bodies move less at once, than strands in parts against bodies that have moved all the way.
+        self._method.max_pieces = MAX_PIECES if last_resort else 1
         for _ in range(self._model.settings.contact.passes):
             if broken == 0:
                 break
             self._solve(self._method, result, flags, constrained=True)
             broken = contact.examine(held.position, result.position, flags)
+        self._method.max_pieces = MAX_PIECES
         if first_broken:
             torn, failed = self._judge_contact()
             if not last_resort and (torn.any() or failed.any()):
