@@ -21,6 +21,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdSkel, Vt
 from plait.assets import character, groom, walk
 from plait.assets.prop import STAFF_COLOUR, staff
 
+# The skin is polygonised and simplified by VTK; another version may cut it into other triangles.
+VTK_VERSION = "9.7"
 RATE = 24.0
 FIRST_FRAME = 1001.0
 LAST_FRAME = FIRST_FRAME + walk.DURATION * RATE

@@ -155,10 +155,11 @@ class Walk:
 
     def _weight_on_left(self, times: np.ndarray) -> np.ndarray:
         """0 to 1, the share of the body over the left foot."""
-        left, right = self.planted("Left", times) >= 0, self.planted("Right", times) >= 0
+        fine = self._times  # whatever is asked for, it is smoothed at the one rate
+        left, right = self.planted("Left", fine) >= 0, self.planted("Right", fine) >= 0
         weight = 0.5 + 0.14 * left - 0.14 * right
-        weight[(times > SPIN_START) & (times < SPIN_END)] = 0.95
-        return gaussian(weight, 0.08)
+        weight[(fine > SPIN_START) & (fine < SPIN_END)] = 0.95
+        return np.interp(times, fine, gaussian(weight, 0.08))
 
     def _hip_orientation(self, times: np.ndarray) -> np.ndarray:
         yaw = turned(times) + np.radians(7.0) * self._stride(times)

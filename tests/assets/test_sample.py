@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import pyvista as pv
 import trimesh
+import vtk
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from plait.assets import character, generate, walk
@@ -51,6 +52,10 @@ def root_places(stage: Usd.Stage, skin: trimesh.Trimesh) -> tuple[np.ndarray, np
     return np.einsum("sk,skd->sd", weights, skin.triangles[face]), skin.face_normals[face]
 
 
+@pytest.mark.skipif(
+    not vtk.__version__.startswith(generate.VTK_VERSION),
+    reason="the committed mesh was cut by another version of VTK",
+)
 def test_generator_reproduces_the_committed_files(tmp_path: Path) -> None:
     generate.generate(tmp_path)
     made = sorted(path.name for path in tmp_path.iterdir())
