@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any
@@ -52,26 +53,33 @@ def load(path: Path | None, assignments: list[str], flags: dict[str, Any] | None
             raise InputError(str(error), file=path) from error
         _convert(tree, str(path), InputError)
     for assignment in assignments:
-        key, separator, text = assignment.partition("=")
-        if not separator or not key.strip():
-            raise UsageError(f"--set {assignment}: write key=value, e.g. solver.substeps=8")
-        try:
-            value = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
-            value = text  # a bare word is a string
-        _assign(tree, key.strip(), value)
+        _merge(tree, _parse(assignment), assignment)
     for key, value in (flags or {}).items():
-        _assign(tree, key, value)
+        group, _, leaf = key.rpartition(".")
+        _merge(tree, {group: {leaf: value}} if group else {leaf: value}, key)
     return _convert(tree, "command line", UsageError)
 
 
-def _assign(tree: dict[str, Any], key: str, value: Any) -> None:
-    *groups, leaf = key.split(".")
-    for group in groups:
-        tree = tree.setdefault(group, {})
-        if not isinstance(tree, dict):
-            raise UsageError(f"{key}: {group} is a value, not a table")
-    tree[leaf] = value
+def _parse(assignment: str) -> dict[str, Any]:
+    """`key=value` as a tree: a TOML key, dotted and quoted as there, and a TOML value or a bare word."""
+    key, separator, text = assignment.partition("=")
+    if separator and key.strip():
+        for value in (text, json.dumps(text)):
+            try:
+                return tomllib.loads(f"{key} = {value}")
+            except tomllib.TOMLDecodeError:
+                continue
+    raise UsageError(f"--set {assignment}: write key=value, e.g. solver.substeps=8")
+
+
+def _merge(tree: dict[str, Any], more: dict[str, Any], source: str) -> None:
+    for key, value in more.items():
+        if isinstance(value, dict) and isinstance(tree.get(key, {}), dict):
+            _merge(tree.setdefault(key, {}), value, source)
+        elif isinstance(value, dict):
+            raise UsageError(f"--set {source}: {key} is a value, not a table")
+        else:
+            tree[key] = value
 
 
 def _convert(tree: dict[str, Any], source: str, error_type: type) -> Config:

@@ -24,7 +24,7 @@ def arguments(case, folder: Path) -> list[str]:
     if case.frames is not None:
         result += ["-f", f"{case.frames[0]}:{case.frames[1]}"]
     tables = [("parameters", case.config.get("parameters", {}))]
-    tables += [(f"prim.{path}", values) for path, values in case.config.get("prim", {}).items()]
+    tables += [(f'prim."{path}"', values) for path, values in case.config.get("prim", {}).items()]
     for table, values in tables:
         for key, value in values.items():
             result += ["--set", f"{table}.{key}={json.dumps(value)}"]

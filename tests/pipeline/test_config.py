@@ -18,6 +18,15 @@ def test_defaults_then_file_then_set_then_flags(tmp_path):
     assert load(None, []) == Config()
 
 
+def test_paths_are_quoted_as_in_toml():
+    """Prim paths hold slashes and stars, and so stand in quotes, in the file as in `--set`."""
+    config = load(
+        None, ['prim."/World/hair*".damping=3.0', "parameters.restShape=authored", "output.shutter=[0.5]"]
+    )
+    assert config.prim == {"/World/hair*": {"damping": 3.0}}
+    assert config.parameters == {"restShape": "authored"} and config.output.shutter == (0.5,)
+
+
 @pytest.mark.parametrize(
     ("assignment", "named"),
     [
