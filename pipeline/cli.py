@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
-from plait.pipeline.errors import EXIT_DIFFERS, EXIT_DONE, EXIT_FAILED, PlaitError
+from plait.pipeline.errors import EXIT_DIFFERS, EXIT_DONE, EXIT_FAILED, EXIT_USAGE, PlaitError
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -36,8 +36,15 @@ def main(arguments: list[str] | None = None) -> int:
         return EXIT_FAILED
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong with a command line in one line, as every other error is said."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(EXIT_USAGE, f"plait: {message}; see {self.prog} --help\n")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="plait",
         description="Simulate the hair of a USD shot: USD in, USD out, no application needed.",
         epilog="exit codes: 0 done, 2 usage, 3 the simulation failed (frames before it are kept), "

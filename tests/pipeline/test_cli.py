@@ -62,8 +62,20 @@ def test_every_verb_names_a_missing_file(verb, tmp_path, capfd):
     assert "gone.usda" in line
 
 
-@pytest.mark.parametrize("wrong", [[], ["nonsense"], ["sim"], ["sim", "a.usd"], ["farm", "slurm", "a", "-o", "b"]])
-def test_wrong_command_lines_exit_2(wrong, capfd):
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        [],
+        ["nonsense"],
+        ["sim"],
+        ["sim", "a.usd"],
+        ["farm", "slurm", "a", "-o", "b"],
+        ["sim", "a", "--substeps", "x"],
+    ],
+)
+def test_wrong_command_lines_exit_2_with_one_line(wrong, capfd):
     with pytest.raises(SystemExit) as stop:
         main(wrong)
     assert stop.value.code == EXIT_USAGE
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith("plait: ")
