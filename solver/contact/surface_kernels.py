@@ -133,18 +133,9 @@ def find_planes(
                 arc += wp.length(end[i] - end[i - 1])
                 if nodes.clearance[i] >= ZERO and arc > near.stem:
                     contact = node_contact(
-                        bodies,
-                        body,
-                        near,
-                        nodes,
-                        memory,
-                        strand,
-                        i,
-                        start[i],
-                        end[i],
-                        depth[strand],
+                        bodies, body, near, nodes, memory, strand, i, start[i], end[i], depth[strand],
                         exit_distance,
-                    )
+                    )  # fmt: skip
                     if contact.found:
                         deepest = wp.max(deepest, contact.depth)
                         asked = nodes.radius[i] + bodies.thickness[body]
@@ -192,18 +183,9 @@ def project_out(
                     arc += wp.length(end[i] - end[i - 1])
                     if nodes.clearance[i] >= ZERO and arc > near.stem:
                         contact = node_contact(
-                            bodies,
-                            body,
-                            near,
-                            nodes,
-                            memory,
-                            strand,
-                            i,
-                            start[i],
-                            end[i],
-                            depth[strand],
+                            bodies, body, near, nodes, memory, strand, i, start[i], end[i], depth[strand],
                             exit_distance,
-                        )
+                        )  # fmt: skip
                         if contact.found:
                             deepest = wp.max(deepest, contact.depth)
                             height = wp.dot(contact.normal, end[i] - contact.point)
