@@ -46,10 +46,10 @@ class Stage(Protocol):
 
 @dataclass
 class Model:
-    """Shared by the stages. `parts` lets a later stage find an earlier one by name."""
+    """Shared by the stages. `parts` lets a later stage find an earlier one, of whatever class, by name."""
 
     scene: Scene
     settings: Settings
     launcher: Launcher
     start_time: float
-    parts: dict[str, Stage] = field(default_factory=dict)
+    parts: dict[str, Any] = field(default_factory=dict)

@@ -21,7 +21,7 @@ class Simulation:
         """Steps from the state's time to `end` [s] in equal substeps that end exactly on it, cut where need be.
 
         Returns the frame's metrics: one entry a stage, beside 'launches' and 'seconds' by stage. Raises
-        `Diverged`, with the state as it was found, when something is not finite.
+        `Diverged` when something is not finite; the state is then of no further use.
         """
         launcher = self.model.launcher
         frame = Interval(self.state.time, end)
