@@ -33,6 +33,7 @@ class SurfaceContact:
         contact.examine(start, end, flags)        looks at strands flagged; leaves flags where a plane is broken
         ...solve those again, and so on...
         contact.guard(start, end, flags)          puts right what the strands last solved still break
+        contact.end_substep()                     if the substep stands
 
     Distances are float64. Triangles are found by float32 trees: a node that is equally near to two triangles but
     for the rounding of its coordinates (1e-7 of its distance from the scene's origin) may meet either.
@@ -129,7 +130,7 @@ class SurfaceContact:
         return int(flags.numpy().sum())
 
     def guard(self, start: wp.array, end: wp.array, flags: wp.array) -> None:
-        """Moves what is still under a surface out of it, in `end`, for the strands flagged; ends the substep."""
+        """Moves what is still under a surface out of it, in `end`, for the strands flagged."""
         if not self.active:
             return
         self._launcher.launch(
@@ -139,7 +140,11 @@ class SurfaceContact:
             [self._memory, end, self._moved, self._depth_next],
             work_per_item=self._work,
         )
-        wp.copy(self._depth, self._depth_next)
+
+    def end_substep(self) -> None:
+        """Keeps how deep each strand is now."""
+        if self.active:
+            wp.copy(self._depth, self._depth_next)
 
     def penetrating(self, position: wp.array) -> tuple[int, float]:
         """How many nodes are deeper inside a surface than their radius, and the deepest node's depth [m].

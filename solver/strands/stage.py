@@ -23,8 +23,11 @@ from plait.solver.strands.types import rod_types
 MAX_PIECES = 16
 # Cost of a node's solve in units of `Launcher.launch`.
 NODE_WORK = 50
-# A strand that a substep in contact stretches by more has been torn: its planes are out of its reach.
-TORN = 0.02
+# Strain that contact may add in a substep before bodies are made to move in shorter steps; and that beyond which
+# shorter steps have not helped: the contacts are out of the strand's reach.
+STRAINED, TORN = 0.02, 0.1
+# [s] A strand that shorter steps did not help asks for none for so long: it may be caught between bodies.
+EXCUSED = 0.25
 # Friction is full from ways of this part of a radius on.
 SLIP = 1.0e-2
 LEAST_TOLERANCE_FLOAT32 = 1.0e-3
@@ -158,6 +161,10 @@ class StrandsStage:
         for name in STATE_ARRAYS:
             setattr(self._result, name, wp.zeros_like(getattr(self._held, name)))
         self._flags = wp.zeros(self.layout.strand_count, dtype=wp.int32, device=self._launcher.device)
+        self._excused_until = wp.full(
+            self.layout.strand_count, -np.inf, dtype=wp.float64, device=self._launcher.device
+        )
+        state.arrays["strands/excused_until"] = self._excused_until
         return SurfaceContact(
             self._model,
             state,
@@ -190,20 +197,37 @@ class StrandsStage:
         if self._contact is None or not self._contact.active:
             self._solve(self._method, self._held, self._all, constrained=False)
         else:
-            stands = self._step_in_contact(substep.length, last_resort)
+            stands = self._step_in_contact(substep, last_resort)
         self._count(stands)
         return stands
 
     def retract(self, state: State, substep: Interval) -> None:
         """Nothing: a step that does not stand has left the state alone."""
 
-    def _step_in_contact(self, length: float, last_resort: bool) -> bool:
+    def _step_in_contact(self, substep: Interval, last_resort: bool) -> bool:
         """First without contact; then what broke a plane again with planes, from where it is, while any does."""
         contact, held, result, flags = self._contact, self._held, self._result, self._flags
-        contact.begin_substep(length)
+        contact.begin_substep(substep.length)
         self._solve(self._method, result, self._all, constrained=False)
         flags.fill_(1)
-        broken = first_broken = contact.examine(held.position, result.position, flags)
+        broken = contact.examine(held.position, result.position, flags)
+        if broken:
+            tried, free_strain = flags.numpy() > 0, self._strain(result)
+            self._solve_in_contact(broken, last_resort)
+            strain, failed = self._judge_contact(tried, free_strain)
+            troubled, excused = failed | (strain > STRAINED), self._excused_until.numpy()
+            if not last_resort and (troubled & (excused <= substep.start)).any():
+                return False
+            self._excused_until.assign(np.where(troubled, substep.end + EXCUSED, excused))
+            self._let_go(strain > TORN)
+        contact.end_substep()
+        for name in STATE_ARRAYS:
+            wp.copy(getattr(held, name), getattr(result, name))
+        return True
+
+    def _solve_in_contact(self, broken: int, last_resort: bool) -> None:
+        """Solve and detection in turns for the strands flagged; what remains is put right by hand."""
+        contact, held, result, flags = self._contact, self._held, self._result, self._flags
         self._method.warm = 1
         # Rather the bodies move less at once, than strands in parts against bodies that have moved all the way.
         self._method.max_pieces = MAX_PIECES if last_resort else 1
@@ -213,27 +237,17 @@ class StrandsStage:
             self._solve(self._method, result, flags, constrained=True)
             broken = contact.examine(held.position, result.position, flags)
         self._method.max_pieces = MAX_PIECES
-        if first_broken:
-            torn, failed = self._judge_contact()
-            if not last_resort and (torn.any() or failed.any()):
-                return False
-            if torn.any():
-                self._let_go(torn)
         contact.guard(held.position, result.position, flags)
         if broken:
             inputs = [flags, self.rods.first_node, result.position]
             self._launcher.launch(
                 self._kernels.realign, self.layout.strand_count, inputs, [result.director, result.twist]
             )
-        for name in STATE_ARRAYS:
-            wp.copy(getattr(held, name), getattr(result, name))
-        return True
 
-    def _judge_contact(self) -> tuple[np.ndarray, np.ndarray]:
-        """(strand_count,) bool each: strands in contact that the substep tore, that did not converge."""
-        touching = self._report.contacts.numpy() > 0
-        stretched = self._strain(self._result) - self._strain(self._held)
-        return touching & ~(stretched <= TORN), touching & (self._report.unconverged.numpy() > 0)
+    def _judge_contact(self, tried: np.ndarray, free_strain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(strand_count,) what contact stretched each strand by; whether it kept it from converging."""
+        stretched = np.where(tried, self._strain(self._result) - free_strain, 0.0)
+        return np.where(np.isnan(stretched), np.inf, stretched), tried & (self._report.unconverged.numpy() > 0)
 
     def _strain(self, rods: Any) -> np.ndarray:
         """(strand_count,) the largest strain of each strand."""
@@ -245,11 +259,12 @@ class StrandsStage:
 
         Where a body has jumped onto them they are then led out of it, like hair that starts inside.
         """
-        flags = wp.array(torn.astype(np.int32), dtype=wp.int32, device=self._launcher.device)
+        if not torn.any():
+            return
         self._method.warm = 0
-        self._solve(self._method, self._result, flags, constrained=False)
-        self._contact.examine(self._held.position, self._result.position, flags)
-        self._flags.assign(np.where(torn, 0, self._flags.numpy()).astype(np.int32))
+        self._flags.assign(torn.astype(np.int32))
+        self._solve(self._method, self._result, self._flags, constrained=False)
+        self._contact.examine(self._held.position, self._result.position, self._flags)
         self._let_go_count += int(torn.sum())
 
     def _solve(self, method: Any, out: Any, active: wp.array, *, constrained: bool) -> None:

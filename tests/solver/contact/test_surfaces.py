@@ -44,6 +44,7 @@ class Setup:
         held = wp.array(end.reshape(-1, 3), dtype=wp.vec3d, device="cpu")
         self.flagged = self.contact.examine(begin, held, flags)
         self.contact.guard(begin, held, flags)
+        self.contact.end_substep()
         self.end = held
         self.positions = held.numpy().reshape(end.shape).copy()
         return self.positions[:, 2:]
@@ -347,6 +348,7 @@ def test_surfaces_out_of_reach_launch_nothing(launcher: Launcher) -> None:
         flags = wp.ones(5, dtype=wp.int32, device="cpu")
         assert setup.contact.examine(x, x, flags) == 0 and not flags.numpy().any()
         setup.contact.guard(x, x, flags)
+        setup.contact.end_substep()
         setup.contact.end_frame(x)
     assert launcher.launches["contact"] == before and not setup.contact.active
 
