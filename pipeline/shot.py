@@ -22,7 +22,6 @@ class StageInfo:
     frames_per_second: float
     start: float
     end: float
-    default_prim: str
 
 
 @dataclass(frozen=True)

@@ -153,12 +153,3 @@ def arc(segments: int, radius: float, angle: float) -> np.ndarray:
     """(segments + 1, 3) [m]: from the origin along +x, bending towards +y through `angle` [rad]."""
     turned = np.linspace(0.0, angle, segments + 1)
     return radius * np.stack([np.sin(turned), 1.0 - np.cos(turned), np.zeros_like(turned)], axis=1)
-
-
-def helix(segments: int, length: float, radius: float, turns: float, root: Sequence[float] = (0, 0, 0)):
-    """(segments + 1, 3) [m]: a curl hanging down from `root`, of arc length `length`."""
-    angle = 2.0 * np.pi * turns
-    rise = np.sqrt(length**2 - (radius * angle) ** 2)
-    t = np.linspace(0.0, 1.0, segments + 1)
-    curl = radius * np.stack([np.cos(angle * t) - 1.0, np.zeros_like(t), np.sin(angle * t)], axis=1)
-    return np.asarray(root, float) + curl - np.outer(rise * t, [0.0, 1.0, 0.0])

@@ -133,7 +133,6 @@ class Source:
         if not stage.HasAuthoredTimeCodeRange():
             start, end = frames or (start, end)
             self.warn(f"not authored, taken as {start:g} to {end:g}", attribute="startTimeCode and endTimeCode")
-        prim = stage.GetDefaultPrim()
         return StageInfo(
             path=self.path,
             meters_per_unit=self.units.meters_per_unit,
@@ -142,7 +141,6 @@ class Source:
             frames_per_second=stage.GetFramesPerSecond(),
             start=start,
             end=end,
-            default_prim=prim.GetName() if prim else "",
         )
 
     def _check_frames(self, frames: tuple[float, float], start: float, end: float) -> None:

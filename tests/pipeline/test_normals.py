@@ -98,7 +98,7 @@ def test_a_turned_root_turns_the_normals_of_hair_at_rest(axis):
     output = CurveOutput(
         "/hair", 0, np.arange(6), lambda _: np.eye(4), np.zeros(6), normals=Normals(values, np.array([0, 2, 4]))
     )
-    info = StageInfo("made.usda", 1.0, "Y", 24.0, 24.0, 0.0, 36.0, "")
+    info = StageInfo("made.usda", 1.0, "Y", 24.0, 24.0, 0.0, 36.0)
     scene = Scene((scalp,), (hair,), gravity=np.zeros(3))
     simulation = build(scene, Settings(threads=1), 0.0)
     try:

@@ -65,7 +65,6 @@ def shot_of(
         stage.GetFramesPerSecond(),
         stage.GetStartTimeCode(),
         stage.GetEndTimeCode(),
-        stage.GetRootLayer().defaultPrim,
     )
     curves = []
     for index, name in enumerate(prims):
