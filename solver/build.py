@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 # Each module offers `build(model, state) -> Stage | None`; it is imported only when its test holds, so that a
 # feature the scene lacks costs nothing: no arrays, no kernel compiled, no launch.
 FEATURES = (
-    ("kinematics", "plait.solver.kinematics.stage", lambda scene: bool(scene.strands)),
+    ("kinematics", "plait.solver.kinematics.stage", lambda scene: bool(scene.strands or scene.bodies)),
+    ("tets", "plait.solver.tets.stage", lambda scene: bool(scene.bodies)),
     ("strands", "plait.solver.strands.stage", lambda scene: bool(scene.strands)),
 )
 

@@ -19,6 +19,7 @@ import numpy as np
 
 RestShape = Literal["sagfree", "authored"]
 SkinningMethod = Literal["linear", "dual-quaternion"]
+ElasticLaw = Literal["fixed-corotated", "neo-hookean", "stvk"]
 
 
 @dataclass(frozen=True)
@@ -110,13 +111,15 @@ class BlendShapes:
 
 @dataclass(frozen=True)
 class Surface:
-    """A triangle surface moved by the animation: a collider, what strands grow on, or both.
+    """A triangle surface moved by the animation or by a body: a collider, what strands grow on, or both.
 
     points: (point_count, 3) float64 [m], rest; joint transforms map them to world.
     triangles: (triangle_count, 3) int32, counter-clockwise seen from outside.
     collides: False for a surface that only carries roots.
     thickness: [m] distance kept from this surface beside a strand's own radius.
-    friction: Coulomb coefficient against strands; None leaves it to the strands.
+    friction: Coulomb coefficient; None leaves it to what touches it.
+    body: index into `Scene.bodies` of the elastic body whose skin this is: its points then go where that body
+        takes them, and `motion`, `skinning` and `blend_shapes` only say where it starts.
     """
 
     name: str
@@ -128,6 +131,55 @@ class Surface:
     collides: bool = True
     thickness: float = 0.0
     friction: float | None = None
+    body: int | None = None
+
+
+@dataclass(frozen=True)
+class Embedding:
+    """Where points lie in a body's tets, at rest.
+
+    tet: (point_count,) int32 into `TetBody.tets`.  barycentric: (point_count, 4) float64, rows sum to one;
+        negative entries are extrapolation, for points a little outside the lattice.
+    """
+
+    tet: np.ndarray
+    barycentric: np.ndarray
+
+
+@dataclass(frozen=True)
+class TetBody:
+    """An elastic body of tetrahedra: flesh over a skeleton, or a soft prop without one.
+
+    nodes: (node_count, 3) float64 [m], rest, in the space of the rest points of its surface: joint transforms map
+        them to world as they do those.
+    tets: (tet_count, 4) int32 into nodes, positive volume: (x1 - x0) . ((x2 - x0) x (x3 - x0)) > 0.
+    surface: index into `Scene.surfaces` of its skin, whose `body` is this one: what is seen, what touches, what
+        strands grow on.  embedding: of the points of that surface.
+    motion, skinning, blend_shapes: as of a `Surface`, for the nodes: where the animation alone would take them.
+    pinned: (node_count,) bool, nodes that go exactly there: bone.
+    attachment: (node_count,) float64 [N/m], a spring from each node to there; zero for free flesh.
+    density [kg/m3], youngs_modulus [Pa], poissons_ratio: (tet_count,) float64.
+    mass_damping: [1/s], stiffness_damping: [s], Rayleigh: C = mass_damping M + stiffness_damping K.
+    restitution: of its impacts, 0 to 1.
+    """
+
+    name: str
+    nodes: np.ndarray
+    tets: np.ndarray
+    surface: int
+    embedding: Embedding
+    density: np.ndarray
+    youngs_modulus: np.ndarray
+    poissons_ratio: np.ndarray
+    pinned: np.ndarray
+    attachment: np.ndarray
+    motion: Motion = field(default_factory=StaticMotion)
+    skinning: Skinning | None = None
+    blend_shapes: BlendShapes | None = None
+    law: ElasticLaw = "fixed-corotated"
+    mass_damping: float = 0.0
+    stiffness_damping: float = 0.0
+    restitution: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -190,5 +242,6 @@ class Scene:
 
     surfaces: tuple[Surface, ...] = ()
     strands: tuple[Strands, ...] = ()
+    bodies: tuple[TetBody, ...] = ()
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, -9.81, 0.0]))
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))

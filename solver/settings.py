@@ -38,6 +38,35 @@ class ContactSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     exit_speed: Positive = 0.5
 
 
+class FleshSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """[flesh]: the solve of elastic bodies.
+
+    integrator: 'bdf2' (default, second order), 'backward-euler' (damps), 'symplectic-euler' (explicit).
+    tolerance: Newton stops when the residual has fallen to this part of what it was at the substep's start.
+    max_iterations: Newton iterations before a substep is asked to be halved.
+    """
+
+    integrator: Literal["bdf2", "backward-euler", "symplectic-euler"] = "bdf2"
+    tolerance: Positive = 1e-3
+    max_iterations: Count = 40
+
+
+class GridSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """[grid]: contact of elastic bodies through the grid.
+
+    cell_size: [m]; 0 takes the mean edge of the bodies' tets.
+    rule: 'pairwise' (default), or 'paper', Han 2019 (20)-(25) to the letter, for comparison.
+    iterations: sweeps over the contacts in a pass.  passes: elastic solve and contact alternate so often.
+    cfl: nothing near a contact moves further than this part of a cell in a substep.
+    """
+
+    cell_size: Annotated[float, msgspec.Meta(ge=0.0, lt=FINITE)] = 0.0
+    rule: Literal["pairwise", "paper"] = "pairwise"
+    iterations: Count = 5
+    passes: Count = 2
+    cfl: Positive = 0.5
+
+
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where and how finely to solve.
 
@@ -52,3 +81,5 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     substeps: Count = 8
     strands: StrandSettings = StrandSettings()
     contact: ContactSettings = ContactSettings()
+    flesh: FleshSettings = FleshSettings()
+    grid: GridSettings = GridSettings()

@@ -1,0 +1,1 @@
+"""Sparse background grid: blocks, B-splines, transfers."""

@@ -1,0 +1,1 @@
+"""Linear solves: sparse rows, conjugate gradients, coarse correction."""

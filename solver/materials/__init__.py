@@ -1,0 +1,1 @@
+"""Constitutive laws as device functions, one law a file."""

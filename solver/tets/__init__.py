@@ -1,0 +1,1 @@
+"""Elastic bodies of tetrahedra, solved implicitly."""
