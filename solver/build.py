@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 FEATURES = (
     ("kinematics", "plait.solver.kinematics.stage", lambda scene: bool(scene.strands or scene.bodies)),
     ("tets", "plait.solver.tets.stage", lambda scene: bool(scene.bodies)),
+    ("carried", "plait.solver.kinematics.carried", lambda scene: bool(scene.bodies and scene.strands)),
     ("strands", "plait.solver.strands.stage", lambda scene: bool(scene.strands)),
 )
 

@@ -90,8 +90,8 @@ class BodyTable:
         bodies.first_group = hold(self._first_group[order], wp.int32)
         bodies.group_count = hold(np.diff(self._first_group)[order], wp.int32)
         self._face(self.kinematics.end, self.kinematics.end)
-        self._bound([c for c in near if not c.surface.motion.animated])
-        self._moving = self._groups_of([c for c in near if c.surface.motion.animated])
+        self._bound([c for c in near if not c.moves])
+        self._moving = self._groups_of([c for c in near if c.moves])
 
     def begin_substep(self) -> None:
         """Bounds the motion of the surfaces between the substep's start and end."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,6 +33,15 @@ class Collider:
     bounds: SurfaceBounds
     meshes: list[wp.Mesh] = field(default_factory=list)
     placed: list[float | None] = field(default_factory=lambda: [None, None])
+
+    @property
+    def carried(self) -> bool:
+        """Whether it is the skin of an elastic body."""
+        return self.surface.body is not None
+
+    @property
+    def moves(self) -> bool:
+        return self.surface.motion.animated or self.carried
 
     @property
     def points(self) -> slice:
@@ -85,10 +95,9 @@ class Colliders:
         collider.placed[1] = time
         local = self.triangles.numpy()[collider.first_triangle :][: collider.triangle_count] - collider.first_point
         indices = wp.array(local.ravel(), dtype=wp.int32, device=self.launcher.device)
-        moves = collider.surface.motion.animated
-        collider.meshes = [
-            wp.Mesh(self.query_points[i][collider.points], indices) for i in range(2 if moves else 1)
-        ] * (1 if moves else 2)
+        trees = range(2 if collider.moves else 1)
+        held = [wp.Mesh(self.query_points[i][collider.points], indices) for i in trees]
+        collider.meshes = held * (2 // len(held))
         return collider.deformer.count
 
     def place(self, collider: Collider, buffer: int, pose: Pose, time: float) -> int:
@@ -96,6 +105,12 @@ class Colliders:
         if collider.placed[buffer] == time or not collider.surface.motion.animated:
             return 0
         self._deform(collider, buffer, pose, time)
+        collider.meshes[buffer].refit()
+        return collider.deformer.count
+
+    def take(self, collider: Collider, buffer: int, place: Callable[[wp.array, wp.array], None]) -> int:
+        """Like `place` for a planted surface that a body carries: `place` writes its points and query points."""
+        place(self.points[buffer][collider.points], self.query_points[buffer][collider.points])
         collider.meshes[buffer].refit()
         return collider.deformer.count
 

@@ -22,6 +22,18 @@ class RootTriangles:
 
 
 @wp.kernel
+def pick_points(
+    first: int,
+    picked: wp.array(dtype=wp.int32),
+    points: wp.array(dtype=wp.vec3d),
+    points_out: wp.array(dtype=wp.vec3d),
+):
+    """points_out = points[picked], one entry an item."""
+    i = first + wp.tid()
+    points_out[i] = points[picked[i]]
+
+
+@wp.kernel
 def place_roots(
     first: int,
     roots: RootTriangles,

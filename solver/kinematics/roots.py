@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import warp as wp
@@ -14,11 +14,13 @@ from plait.solver.launch import Launcher
 from plait.solver.scene import Pose, Scene, Strands
 
 PoseAt = Callable[[int, float], Pose]
+PlacePoints = Callable[[wp.array, wp.array], None]
 
 
 class Roots:
     """Places every strand's root, in the order of `Scene.strands`; skins only the triangles they grow on.
 
+    surfaces: those that strands grow on, indices into `Scene.surfaces`.
     Raises `Refused` where a root's triangle does not exist or has no area at rest.
     """
 
@@ -29,10 +31,10 @@ class Roots:
         self.arc_length = np.concatenate([_arc_lengths(strands) for strands in scene.strands])
         self.radius = np.concatenate([_largest_radii(strands) for strands in scene.strands])
         # Vertices are placed once however many strands share them.
-        self._surfaces = sorted({group.surface for group in groups})
+        self.surfaces = sorted({group.surface for group in groups})
         self._first_vertex = {}
         used, total = {}, 0
-        for surface in self._surfaces:
+        for surface in self.surfaces:
             triangles = [group.triangles for group in groups if group.surface == surface]
             used[surface] = np.unique(np.concatenate(triangles))
             self._first_vertex[surface] = total
@@ -40,8 +42,14 @@ class Roots:
         device = launcher.device
         self._vertices = wp.zeros(total, dtype=wp.vec3d, device=device)
         self._unused = wp.zeros(0, dtype=wp.vec3f, device=device)
-        self._deformers = {s: Deformer(scene.surfaces[s], launcher, used[s]) for s in self._surfaces}
-        self._still = {s for s in self._surfaces if not scene.surfaces[s].motion.animated}
+        self._used = {s: wp.array(used[s], dtype=wp.int32, device=device) for s in self.surfaces}
+        self._points = {
+            s: wp.empty(len(scene.surfaces[s].points), dtype=wp.vec3d, device=device)
+            for s in self.surfaces
+            if scene.surfaces[s].body is not None
+        }
+        self._deformers = {s: Deformer(scene.surfaces[s], launcher, used[s]) for s in self.surfaces}
+        self._still = {s for s in self.surfaces if not scene.surfaces[s].motion.animated and s not in self._points}
         self._placed_still: set[int] = set()
         slots = [
             self._first_vertex[group.surface] + np.searchsorted(used[group.surface], group.triangles)
@@ -58,14 +66,30 @@ class Roots:
             held = np.concatenate([getattr(group, name) for group in groups])
             setattr(self._triangles, name, wp.array(held, dtype=dtype, device=device))
 
-    def place(self, pose_at: PoseAt, time: float, position_out: wp.array, rotation_out: wp.array) -> None:
-        """Roots at `time` [s]; `rotation_out` must hold the last rotations, for triangles that have collapsed."""
-        for surface in self._surfaces:
+    def place(
+        self,
+        pose_at: PoseAt,
+        time: float,
+        position_out: wp.array,
+        rotation_out: wp.array,
+        skins: Mapping[int, PlacePoints],
+    ) -> None:
+        """Roots at `time` [s]; `rotation_out` must hold the last rotations, for triangles that have collapsed.
+
+        skins: what places the points of surfaces that bodies carry now, by surface; others follow their pose.
+        """
+        for surface in self.surfaces:
             if surface in self._placed_still:
                 continue
             first = self._first_vertex[surface]
             deformer = self._deformers[surface]
-            deformer.place(pose_at(surface, time), self._vertices[first : first + deformer.count], self._unused)
+            vertices = self._vertices[first : first + deformer.count]
+            if surface in skins:
+                skins[surface](self._points[surface], self._unused)
+                inputs = [self._used[surface], self._points[surface]]
+                self.launcher.launch(kernels.pick_points, deformer.count, inputs, [vertices])
+            else:
+                deformer.place(pose_at(surface, time), vertices, self._unused)
             if surface in self._still:
                 self._placed_still.add(surface)
         self.launcher.launch(

@@ -1,7 +1,9 @@
-"""Bodies that follow the animation: strand roots and the surfaces strands collide with."""
+"""What follows the animation: strand roots, and the surfaces that strands and elastic bodies collide with."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,9 +29,13 @@ class KinematicsStage:
     root_position: (strand_count,) vec3d [m] and root_rotation: (strand_count,) mat33d, world, float64: where each
         strand's rest root is carried and how its triangle has turned since rest. Valid at the end of the substep
         last stepped, and at the start time after `build`.
+        Only in scenes with strands.
     colliders: every surface that collides, or None.  in_reach: those that some strand may touch in this frame;
         only these are skinned.  boxes: (2, 3) bounds [m] of each of them over the frame.
     start, end: which buffer of `colliders` holds the substep's start and end.
+
+    Skins of elastic bodies, and roots on them, go where the bodies take them: `follow_bodies`, once those have
+    stepped.
     """
 
     name = "kinematics"
@@ -38,20 +44,23 @@ class KinematicsStage:
         self.model, self._surfaces = model, model.scene.surfaces
         launcher = model.launcher
         self._poses: dict[tuple[int, float], Pose] = {}
-        self.roots = Roots(model.scene, launcher)
-        device, count = launcher.device, self.roots.count
-        self.root_position = wp.zeros(count, dtype=wp.vec3d, device=device)
-        self.root_rotation = wp.array(np.tile(np.eye(3), (count, 1, 1)), dtype=wp.mat33d, device=device)
-        # A triangle that collapses keeps the rotation it had, so rotations are state.
-        state.arrays["kinematics/root_position"] = self.root_position
-        state.arrays["kinematics/root_rotation"] = self.root_rotation
+        self.roots = Roots(model.scene, launcher) if model.scene.strands else None
+        if self.roots is not None:
+            device, count = launcher.device, self.roots.count
+            self.root_position = wp.zeros(count, dtype=wp.vec3d, device=device)
+            self.root_rotation = wp.array(np.tile(np.eye(3), (count, 1, 1)), dtype=wp.mat33d, device=device)
+            # A triangle that collapses keeps the rotation it had, so rotations are state.
+            state.arrays["kinematics/root_position"] = self.root_position
+            state.arrays["kinematics/root_rotation"] = self.root_rotation
+            self.place_roots(model.start_time)
         colliders = Colliders(self._surfaces, launcher)
         self.colliders = colliders if colliders.items else None
         self.in_reach: list[Collider] = []
         self.boxes: list[np.ndarray] = []
+        self._frame_boxes: dict[int, np.ndarray] = {}
         self.start, self.end = 0, 1
+        self._placed: set[int] = set()
         self._skinned = 0
-        self.place_roots(model.start_time)
 
     def pose_at(self, surface: int, time: float) -> Pose:
         """The pose of a surface at `time` [s], evaluated once a frame."""
@@ -60,64 +69,120 @@ class KinematicsStage:
             self._poses[key] = self._surfaces[surface].motion.pose(time)
         return self._poses[key]
 
+    @property
+    def carries(self) -> bool:
+        """Whether some strands grow on a body's skin."""
+        return self.roots is not None and any(self._surfaces[s].body is not None for s in self.roots.surfaces)
+
     def place_roots(self, time: float) -> None:
-        """Moves `root_position` and `root_rotation` to `time` [s]."""
-        self.roots.place(self.pose_at, time, self.root_position, self.root_rotation)
+        """Moves `root_position` and `root_rotation` to `time` [s], those on skins to where the bodies are."""
+        self.roots.place(self.pose_at, time, self.root_position, self.root_rotation, self._skins())
 
     def begin_frame(self, state: State, frame: Interval) -> None:
         """Finds the colliders in reach and places them at the frame's start."""
         self._poses = {key: pose for key, pose in self._poses.items() if key[1] in (frame.start, frame.end, 0.0)}
         self._skinned = 0
+        self._placed = set()
+        self.in_reach, self.boxes, self._frame_boxes = [], [], {}
         if self.colliders is None:
             return
-        self._find_in_reach(frame)
+        times = [frame.start + frame.length * i / (SAMPLES - 1) for i in range(SAMPLES)]
+        times[-1] = frame.end
+        self._frame_boxes = {c.index: self._box(c, times) for c in self.colliders.items if not c.carried}
+        if self.roots is None:
+            return
+        self._find_in_reach(frame, times)
         for collider in self.in_reach:
             self._place(collider, self.end, frame.start)
 
     def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
         """Moves roots and the colliders in reach to the substep's end; what was the end becomes the start."""
         self.start, self.end = self.end, self.start
-        self.place_roots(substep.end)
+        if self.roots is not None and not self.carries:
+            self.place_roots(substep.end)
         for collider in self.in_reach:
-            self._place(collider, self.end, substep.end)
+            if not collider.carried:
+                self._place(collider, self.end, substep.end)
         return True
+
+    def follow_bodies(self, time: float) -> None:
+        """Moves the skins that strands may touch, and the roots on them, to where the bodies are at `time`."""
+        for collider in self.in_reach:
+            if collider.carried:
+                self._place(collider, self.end, time)
+        if self.carries:
+            self.place_roots(time)
+
+    def colliders_near(self, lower: np.ndarray, upper: np.ndarray, substep: Interval) -> list[Collider]:
+        """Surfaces that no body carries and that may enter a box (3,), (3,) [m] in the substep last stepped.
+
+        They are placed at both its ends; whatever else moved them there comes for free.
+        """
+        near = []
+        for collider in self.colliders.items if self.colliders else ():
+            margin = collider.surface.thickness
+            box = self._frame_boxes.get(collider.index)
+            if box is None or np.any(box[0] > upper + margin) or np.any(box[1] < lower - margin):
+                continue
+            box = self._box(collider, [substep.start, substep.end])
+            if np.all(box[0] <= upper + margin) and np.all(box[1] >= lower - margin):
+                self._place(collider, self.start, substep.start)
+                self._place(collider, self.end, substep.end)
+                near.append(collider)
+        return near
 
     def retract(self, state: State, substep: Interval) -> None:
         """The surfaces at the substep's start are the present ones again, and so are the roots."""
         self.start, self.end = self.end, self.start
-        self.place_roots(substep.start)
+        if self.roots is not None:
+            self.place_roots(substep.start)
 
     def end_frame(self, state: State, frame: Interval) -> dict[str, Any]:
         """How many surfaces there are and were in reach, the names skipped, and the points skinned."""
         items = self.colliders.items if self.colliders else []
-        near = {collider.index for collider in self.in_reach}
         return {
             "surfaces": len(items),
-            "in_reach": len(near),
-            "skipped": [collider.surface.name for collider in items if collider.index not in near],
+            "in_reach": len(self._placed),
+            "skipped": [collider.surface.name for collider in items if collider.index not in self._placed],
             "skinned_points": self._skinned,
         }
 
+    def _skins(self) -> dict[int, Callable[[wp.array, wp.array], None]]:
+        """What places the points of each surface that a body carries; none before there are bodies."""
+        tets = self.model.parts.get("tets")
+        if tets is None:
+            return {}
+        carried = [(index, s.body) for index, s in enumerate(self._surfaces) if s.body is not None]
+        return {index: partial(tets.place_skin, body) for index, body in carried}
+
     def _place(self, collider: Collider, buffer: int, time: float) -> None:
+        self._placed.add(collider.index)
         if not collider.meshes:
             first = self.model.start_time
             self._skinned += self.colliders.plant(collider, self.pose_at(collider.index, first), first)
-        self._skinned += self.colliders.place(collider, buffer, self.pose_at(collider.index, time), time)
+        if collider.carried:
+            self._skinned += self.colliders.take(collider, buffer, self._skins()[collider.index])
+        else:
+            self._skinned += self.colliders.place(collider, buffer, self.pose_at(collider.index, time), time)
 
-    def _find_in_reach(self, frame: Interval) -> None:
+    def _box(self, collider: Collider, times: list[float]) -> np.ndarray:
+        """(2, 3) bounds [m] of an animated surface through `times`, equally spaced."""
+        seen = times if collider.surface.motion.animated else times[:1]
+        return sweep(np.stack([collider.bounds.at(self.pose_at(collider.index, time)) for time in seen]))
+
+    def _find_in_reach(self, frame: Interval, times: list[float]) -> None:
         """Notes the colliders whose bounds over the frame some strand's reach meets.
 
-        A strand stays within its arc length of its root. Root and surface are sampled at equal times.
+        A strand stays within its arc length of its root. Root and surface are sampled at equal times. Where a body
+        will carry either is not known beforehand: then everything is in reach.
         """
-        times = [frame.start + frame.length * i / (SAMPLES - 1) for i in range(SAMPLES)]
-        times[-1] = frame.end
-        roots = self._root_boxes(times)
-        self.in_reach, self.boxes = [], []
+        everywhere = np.array([[-np.inf] * 3, [np.inf] * 3])
+        roots = None if self.carries else self._root_boxes(times)
         for collider in self.colliders.items:
-            seen = times if collider.surface.motion.animated else times[:1]
-            box = sweep(np.stack([collider.bounds.at(self.pose_at(collider.index, time)) for time in seen]))
+            box = everywhere if collider.carried else self._frame_boxes[collider.index]
             margin = self.roots.radius + collider.surface.thickness + QUERY_ALLOWANCE
-            if touches(box, roots, self.roots.arc_length * (1.0 + STRETCH_ALLOWANCE) + margin):
+            reach = self.roots.arc_length * (1.0 + STRETCH_ALLOWANCE) + margin
+            if collider.carried or roots is None or touches(box, roots, reach):
                 self.in_reach.append(collider)
                 self.boxes.append(box)
 
@@ -127,7 +192,7 @@ class KinematicsStage:
         moving = any(self._surfaces[strands.roots.surface].motion.animated for strands in self.model.scene.strands)
         placed = []
         for time in times if moving else times[:1]:
-            self.roots.place(self.pose_at, time, position, rotation)
+            self.roots.place(self.pose_at, time, position, rotation, {})
             placed.append(position.numpy().copy())
         samples = np.stack(placed)
         boxes = np.stack([samples.min(axis=0), samples.max(axis=0)], axis=1)
@@ -137,6 +202,6 @@ class KinematicsStage:
         return boxes
 
 
-def build(model: Model, state: State) -> KinematicsStage | None:
-    """The stage, or None for a scene without strands. Raises `Refused` for roots that cannot be carried."""
-    return KinematicsStage(model, state) if model.scene.strands else None
+def build(model: Model, state: State) -> KinematicsStage:
+    """Raises `Refused` for roots that cannot be carried."""
+    return KinematicsStage(model, state)
