@@ -242,6 +242,6 @@ class Scene:
 
     surfaces: tuple[Surface, ...] = ()
     strands: tuple[Strands, ...] = ()
-    bodies: tuple[TetBody, ...] = ()
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, -9.81, 0.0]))
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    bodies: tuple[TetBody, ...] = ()

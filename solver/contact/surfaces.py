@@ -9,7 +9,7 @@ import warp as wp
 
 from plait.solver.contact.bodies import BodyTable
 from plait.solver.contact.inside_kernels import find_inside, measure_roots, note_drawn
-from plait.solver.contact.meeting_kernels import UNBOUNDED, ContactNodes
+from plait.solver.contact.meeting_kernels import UNBOUNDED, Bodies, ContactNodes
 from plait.solver.contact.planes import PLANES_A_NODE, ContactPlanes, allocate_planes
 from plait.solver.contact.search_kernels import Memory
 from plait.solver.contact.surface_kernels import find_planes, project_out
@@ -38,7 +38,8 @@ class SurfaceContact:
     Distances are float64. Triangles are found by float32 trees: a node that is equally near to two triangles but
     for the rounding of its coordinates (1e-7 of its distance from the scene's origin) may meet either.
 
-    planes: those in force.  State array 'contact/depth': (strand_count,) how deep [m] the strand's deepest node
+    planes: those in force.  plane_body: (plane_count,) int32, the surface of each, an entry of `bodies`; -1: none.
+    State array 'contact/depth': (strand_count,) how deep [m] the strand's deepest node
     still is inside a surface that keeps out.
     """
 
@@ -73,7 +74,7 @@ class SurfaceContact:
         self._nodes = nodes
         self._work = NODE_WORK * max(1, node_count // self.count)
         self.planes: ContactPlanes = allocate_planes(node_count, device)
-        self._plane_body = wp.full(node_count * PLANES_A_NODE, -1, dtype=wp.int32, device=device)
+        self.plane_body = wp.full(node_count * PLANES_A_NODE, -1, dtype=wp.int32, device=device)
         self._memory = Memory()
         self._memory.body = wp.full(node_count, -1, dtype=wp.int32, device=device)
         self._memory.triangle = wp.zeros(node_count, dtype=wp.int32, device=device)
@@ -95,6 +96,11 @@ class SurfaceContact:
     def active(self) -> bool:
         """Whether any surface is in reach in this frame; if not, nothing need be called."""
         return self._table.bodies.count > 0
+
+    @property
+    def bodies(self) -> Bodies:
+        """The surfaces in reach in this frame, in the order of the kinematics stage's `in_reach`."""
+        return self._table.bodies
 
     def begin_frame(self) -> None:
         """Takes up the surfaces in reach; after the kinematics stage's own."""
@@ -124,7 +130,7 @@ class SurfaceContact:
             find_planes,
             self.count,
             [self._table.bodies, self._nodes, start, end, self._depth, self._exit_distance],
-            [self._memory, self.planes, self._plane_body, flags, self._depth_next],
+            [self._memory, self.planes, self.plane_body, flags, self._depth_next],
             work_per_item=self._work,
         )
         return int(flags.numpy().sum())
@@ -166,7 +172,7 @@ class SurfaceContact:
         """Metrics: planes in the last substep, moves of the guard, nodes inside and the deepest of them [m]."""
         inside, deepest = self.penetrating(position)
         return {
-            "contacts": int((self._plane_body.numpy() >= 0).sum()) if self.active else 0,
+            "contacts": int((self.plane_body.numpy() >= 0).sum()) if self.active else 0,
             "guarded": int(self._moved.numpy().sum()),
             "penetrating": inside,
             "deepest": deepest,
@@ -174,7 +180,7 @@ class SurfaceContact:
 
     def _clear(self) -> None:
         self.planes.normal.zero_()
-        self._plane_body.fill_(-1)
+        self.plane_body.fill_(-1)
         self._memory.body.fill_(-1)
 
     def _note_drawn(self, position: wp.array, first_node: np.ndarray) -> None:

@@ -21,7 +21,7 @@ from plait.solver.strands.types import module_name, rod_types
 
 @cache
 def contact_functions(real: type) -> SimpleNamespace:
-    """Device functions `contact_stiffness`, `release`, `push`, `judge`, `touching` for `real`."""
+    """Device functions `contact_stiffness`, `release`, `push`, `plane_force`, `judge`, `touching` for `real`."""
     types = rod_types(real)
     vec3, mat33, module = types.vec3, types.mat33, module_name(real)
     Rods, Scratch = types.Rods, types.Scratch
@@ -86,6 +86,27 @@ def contact_functions(real: type) -> SimpleNamespace:
         return block, gradient
 
     @wp.func(module=module)
+    def plane_force(
+        planes: ContactPlanes,
+        plane: int,
+        pressure: real,
+        x: vec3,
+        origin: wp.vec3d,
+        stiffness: real,
+        slip: real,
+    ):
+        """Force [N] of one plane on a node at x, a position about `origin`, at the substep's end; see `push`."""
+        force = vec3()
+        depth = depth_under(planes, plane, x, origin, wp.float64(0.0))
+        if depth > real(0.0):
+            n = vec3(planes.normal[plane])
+            way = x - vec3(planes.anchor[plane] - origin)
+            way = way - wp.dot(way, n) * n
+            spring = real(planes.friction[plane]) * pressure / wp.max(wp.length(way), slip)
+            force = (stiffness * depth) * n - spring * way
+        return force
+
+    @wp.func(module=module)
     def judge(
         planes: ContactPlanes,
         scratch: Scratch,
@@ -123,5 +144,10 @@ def contact_functions(real: type) -> SimpleNamespace:
         return found
 
     return SimpleNamespace(
-        contact_stiffness=contact_stiffness, release=release, push=push, judge=judge, touching=touching
+        contact_stiffness=contact_stiffness,
+        release=release,
+        push=push,
+        plane_force=plane_force,
+        judge=judge,
+        touching=touching,
     )

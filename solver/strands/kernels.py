@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from plait.solver.contact.planes import ContactPlanes
+from plait.solver.contact.planes import PLANES_A_NODE, ContactPlanes
 from plait.solver.strands.contact import contact_functions
 from plait.solver.strands.energy import joint_functions
 from plait.solver.strands.newton import newton_functions
@@ -30,7 +30,9 @@ def strand_kernels(real: type) -> SimpleNamespace:
     measure_edges = newton.measure_edges
     joint_energy, signed_twist = joints.joint_energy, joints.signed_twist
     stretch_energy = stretch_functions(real).stretch_energy
-    touching, release = contact_functions(real).touching, contact_functions(real).release
+    contact = contact_functions(real)
+    touching, release = contact.touching, contact.release
+    plane_force, contact_stiffness = contact.plane_force, contact.contact_stiffness
 
     @wp.func(module=module)
     def part_of_rotation(rotation: wp.mat33d, part: wp.float64):
@@ -181,7 +183,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
         pieces: int,
         stubborn: bool,
     ):
-        """The substep in `pieces` equal parts. Returns iterations and whether all of them converged.
+        """The substep in `pieces` equal parts. Returns iterations, whether all converged, and the last inertia.
 
         Gives up at the first part that does not converge unless `stubborn`. A single solve may start from
         `result`, see `Method.warm`.
@@ -198,6 +200,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
         gamma = wp.float64(SDIRK2_GAMMA)
         load(state, scratch, first, count, base, stride, root)
         iterations = wp.int32(0)
+        inertia = real(0.0)
         converged = wp.bool(True)
         for stage in range(pieces * method.stages):
             if converged or stubborn:
@@ -245,7 +248,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
                         if last_stage:
                             scratch.start[slot] = scratch.position[slot]
                             scratch.start_velocity[slot] = v
-        return iterations, converged
+        return iterations, converged, inertia
 
     @wp.kernel(enable_backward=False, module=module)
     def solve(
@@ -278,11 +281,12 @@ def strand_kernels(real: type) -> SimpleNamespace:
             pieces = wp.int32(0)
             converged = wp.bool(False)
             iterations = wp.int32(0)
+            inertia = real(0.0)
             if method.warm != 0:
                 iterations += report_out.iterations[strand]
             while not converged and pieces < method.max_pieces:
                 pieces = wp.max(1, 2 * pieces)
-                more, within = march(
+                more, within, inertia = march(
                     rods, state, scratch, method, planes, constrained, state_out, strand, base, stride, root,
                     rotation, pieces, pieces >= method.max_pieces,
                 )  # fmt: skip
@@ -303,6 +307,16 @@ def strand_kernels(real: type) -> SimpleNamespace:
                 state_out.director[node] = wp.vec3d(scratch.director[slot])
                 state_out.twist[node] = wp.float64(scratch.twist[slot])
                 state_out.tension[node] = wp.float64(scratch.tension[slot])
+                if report_out.reaction.shape[0] > 0:
+                    for i in range(PLANES_A_NODE):
+                        plane = node * PLANES_A_NODE + i
+                        force = vec3()
+                        if constrained:
+                            force = plane_force(
+                                planes, plane, scratch.pressure[slot * PLANES_A_NODE + i], scratch.position[slot],
+                                root, contact_stiffness(rods, strand, inertia), rods.slip[strand],
+                            )  # fmt: skip
+                        report_out.reaction[plane] = wp.vec3d(force)
             report_out.contacts[strand] = contacts
             state_out.root_position[strand] = root
             state_out.root_rotation[strand] = rotation

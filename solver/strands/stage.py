@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
-from plait.solver.contact.planes import allocate_planes
+from plait.solver.contact.planes import PLANES_A_NODE, allocate_planes
 from plait.solver.contact.surfaces import SurfaceContact
 from plait.solver.diagnostics import Diverged
 from plait.solver.model import Interval, Model
@@ -18,6 +18,9 @@ from plait.solver.strands.rest_shape import fit_rest_shapes
 from plait.solver.strands.scratch import allocate_scratch, count_chunks
 from plait.solver.strands.stretch import softened_stretch
 from plait.solver.strands.types import rod_types
+
+if TYPE_CHECKING:
+    from plait.solver.contact.reaction import SkinReaction
 
 # A strand that does not converge is stepped in halves, quarters, ... of its substep, down to this many parts.
 MAX_PIECES = 16
@@ -63,6 +66,7 @@ class StrandsStage:
         self._place(state)
         self._allocate()
         self._method = self._make_method()
+        self._reaction: SkinReaction | None = None
         self._contact = self._make_contact(state)
         self._iterations: list[np.ndarray] = []
         self._unconverged = 0
@@ -160,10 +164,14 @@ class StrandsStage:
         self._result = self._types.RodState()
         for name in STATE_ARRAYS:
             setattr(self._result, name, wp.zeros_like(getattr(self._held, name)))
-        self._flags = wp.zeros(self.layout.strand_count, dtype=wp.int32, device=self._launcher.device)
-        self._excused_until = wp.full(
-            self.layout.strand_count, -np.inf, dtype=wp.float64, device=self._launcher.device
-        )
+        device = self._launcher.device
+        self._flags = wp.zeros(self.layout.strand_count, dtype=wp.int32, device=device)
+        if self._model.scene.bodies:
+            from plait.solver.contact.reaction import SkinReaction
+
+            self._reaction = SkinReaction(self._model)
+            self._report.reaction = wp.zeros(self.layout.node_count * PLANES_A_NODE, dtype=wp.vec3d, device=device)
+        self._excused_until = wp.full(self.layout.strand_count, -np.inf, dtype=wp.float64, device=device)
         state.arrays["strands/excused_until"] = self._excused_until
         return SurfaceContact(
             self._model,
@@ -221,6 +229,8 @@ class StrandsStage:
             self._excused_until.assign(np.where(troubled, substep.end + EXCUSED, excused))
             self._let_go(strain > TORN)
         contact.end_substep()
+        if broken and self._reaction is not None:
+            self._reaction.give(contact, result.position, self._report.reaction, substep.length)
         for name in STATE_ARRAYS:
             wp.copy(getattr(held, name), getattr(result, name))
         return True

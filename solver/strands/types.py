@@ -117,6 +117,7 @@ def rod_types(real: type) -> SimpleNamespace:
         unconverged: wp.array(dtype=wp.int32)  # 1 where even the shortest pieces did not converge
         pieces: wp.array(dtype=wp.int32)  # parts the substep was stepped in
         contacts: wp.array(dtype=wp.int32)  # nodes that a contact pushes
+        reaction: wp.array(dtype=wp.vec3d)  # [N] of each of a node's planes on the node; empty: not asked for
 
     return SimpleNamespace(
         real=real,
