@@ -58,7 +58,7 @@ def _refuse_unsupported(shot: Shot, skip: bool) -> None:
     for prim in shot.prims:
         if not prim.supported and not skip:
             raise InputError(
-                f"the role '{prim.role}' ({prim.recognised}) has no physics yet",
+                f"the role '{prim.role}' ({prim.recognised}) cannot be simulated: {prim.reason}",
                 file=shot.info.path,
                 prim=prim.path,
                 mend="--skip-unsupported leaves such prims as they are",
@@ -99,17 +99,18 @@ class _Run:
 
     def run(self, stop: StopRequest) -> int:
         """Everything from an empty or half-filled folder to the finished cache."""
-        if not self.shot.scene.strands:
+        if not (self.shot.scene.strands or self.shot.scene.bodies):
             self.writer.open()
             name = self.shot.info.path.name
             self.progress.log(f"nothing to simulate in {name}; {self.output} shows it as it is")
             return EXIT_DONE
         simulation = self._build()
         self.metrics.run["threads"] = simulation.model.launcher.threads
-        strands = simulation.model.parts["strands"]
-        for warning in strands.warnings:
-            self.progress.log("warning", text=warning)
-        self.outputs = Outputs(self.shot, strands)
+        parts = simulation.model.parts
+        for part in parts.values():
+            for warning in getattr(part, "warnings", ()):
+                self.progress.log("warning", text=warning)
+        self.outputs = Outputs(self.shot, parts)
         try:
             with self.writer:
                 return self._loop(simulation, self._resume(simulation), stop)
@@ -174,9 +175,14 @@ class _Run:
         except Diverged as error:
             raise PlaitError(
                 f"{self.shot.info.path}: {error} (frame {leg.code:g}); the frames before it are kept; "
-                "try more substeps, or stiffer or thicker strands"
+                f"try more substeps, or {self._softer()}"
             ) from error
         self.metrics.add(index, leg.code, time.perf_counter() - started, figures)
+
+    def _softer(self) -> str:
+        """What else may help against divergence."""
+        kinds = {"stiffer or thicker strands": self.shot.scene.strands, "softer flesh": self.shot.scene.bodies}
+        return " or ".join(advice for advice, held in kinds.items() if held)
 
     def _seconds(self, code: float) -> float:
         return code / self.shot.info.time_codes_per_second

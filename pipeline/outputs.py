@@ -2,56 +2,75 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from plait.pipeline.normals import CarriedNormals
-from plait.pipeline.shot import CurveFrame, CurveOutput, Shot
+from plait.pipeline.shot import CurveOutput, MeshOutput, PrimFrame, PrimOutput, Shot
+from plait.pipeline.surface_normals import SurfaceNormals
 
 # Half the span of the central difference that gives a moving prim's own velocity [s].
 _DIFFERENCE = 1e-3
+_NO_WIDTHS = np.zeros(0)
 
 
 class Outputs:
-    """All prims' results, read from the strands' stage."""
+    """All prims' results, read from the stages that own them."""
 
-    def __init__(self, shot: Shot, stage: Any) -> None:
-        """stage: `StrandsStage`, just built: authored normals belong to the frames of that moment."""
-        self._outputs, self._stage = shot.curves, stage
-        self._normals = {
+    def __init__(self, shot: Shot, parts: Mapping[str, Any]) -> None:
+        """parts: `Model.parts`, just built: authored normals of curves belong to the frames of that moment."""
+        self._strands, self._tets = parts.get("strands"), parts.get("tets")
+        self._curves, self._meshes = shot.curves, shot.meshes
+        self._normals: dict[str, CarriedNormals | SurfaceNormals] = {
             output.prim_path: CarriedNormals(
                 output.normals,
-                stage.points(output.strands),
-                stage.directors(output.strands),
-                stage.root_rotations(output.strands),
+                self._strands.points(output.strands),
+                self._strands.directors(output.strands),
+                self._strands.root_rotations(output.strands),
                 shot.scene.strands[output.strands].offsets,
             )
             for output in shot.curves
             if output.normals is not None
         }
+        self._normals |= {
+            output.prim_path: SurfaceNormals(output.normals)
+            for output in shot.meshes
+            if output.normals is not None
+        }
 
-    def frames(self, time: float) -> tuple[CurveFrame, ...]:
-        """Every prim's sample, the strands being where they are at `time` [s]."""
-        return tuple(self._frame(output, time) for output in self._outputs)
+    def frames(self, time: float) -> tuple[PrimFrame, ...]:
+        """Every prim's sample, everything simulated being where it is at `time` [s]."""
+        curves = [self._curve_frame(output, time) for output in self._curves]
+        return (*curves, *(self._mesh_frame(output, time) for output in self._meshes))
 
-    def _frame(self, output: CurveOutput, time: float) -> CurveFrame:
-        points, velocities = self._stage.points(output.strands), self._stage.velocities(output.strands)
+    def _curve_frame(self, output: CurveOutput, time: float) -> PrimFrame:
+        points, velocities = self._strands.points(output.strands), self._strands.velocities(output.strands)
         carried = self._normals.get(output.prim_path)
-        normals = None if carried is None else carried.at(points, self._stage.directors(output.strands))
-        return curve_frame(output, points, velocities, time, normals)
+        normals = None if carried is None else carried.at(points, self._strands.directors(output.strands))
+        return prim_frame(output, output.drawn(points), output.drawn(velocities), time, output.widths, normals)
+
+    def _mesh_frame(self, output: MeshOutput, time: float) -> PrimFrame:
+        tets, body = self._tets, output.body
+        skin = tets.points(body)
+        points = output.drawn(skin, tets.nodes(body))
+        velocities = output.drawn(tets.velocities(body), tets.node_velocities(body))
+        carried = self._normals.get(output.prim_path)
+        return prim_frame(output, points, velocities, time, normals=None if carried is None else carried.at(skin))
 
 
-def curve_frame(
-    output: CurveOutput,
+def prim_frame(
+    output: PrimOutput,
     points: np.ndarray,
     velocities: np.ndarray,
     time: float,
+    widths: np.ndarray = _NO_WIDTHS,
     normals: np.ndarray | None = None,
-) -> CurveFrame:
-    """One prim's result at `time` [s] from its strands' points and velocities, (n, 3) float64, scene world, SI.
+) -> PrimFrame:
+    """One prim's result at `time` [s] from its points and velocities, (n, 3) float64 as authored, scene world, SI.
 
-    normals: (m, 3) float64, scene world, if the prim has any.
+    widths: (n,) [stage units], for `extent`.  normals: (m, 3) float64, scene world, if the prim has any.
 
     With x_local = M(t) x, the local velocity is M v + dM/dt x: what a renderer adds to points before applying the
     prim's own transform.
@@ -59,14 +78,13 @@ def curve_frame(
     transform = output.world_to_local(time)
     later, earlier = output.world_to_local(time + _DIFFERENCE), output.world_to_local(time - _DIFFERENCE)
     change = (later - earlier) / (2.0 * _DIFFERENCE)
-    world, moving = output.drawn(points), output.drawn(velocities)
-    local = world @ transform[:3, :3].T + transform[:3, 3]
-    local_velocity = moving @ transform[:3, :3].T + world @ change[:3, :3].T + change[:3, 3]
-    return CurveFrame(
+    local = points @ transform[:3, :3].T + transform[:3, 3]
+    local_velocity = velocities @ transform[:3, :3].T + points @ change[:3, :3].T + change[:3, 3]
+    return PrimFrame(
         output.prim_path,
         local.astype(np.float32),
         local_velocity.astype(np.float32),
-        extent(local.astype(np.float32), output.widths),
+        extent(local.astype(np.float32), widths),
         None if normals is None else _local_normals(transform, normals),
     )
 
@@ -78,7 +96,7 @@ def _local_normals(transform: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def extent(points: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """(2, 3) float32 box of `points` (n, 3) widened by half the `widths` (n,), as UsdGeomCurves defines it."""
+    """(2, 3) float32 box of `points` (n, 3) widened by half the largest width, as UsdGeomCurves defines it."""
     if len(points) == 0:
         return np.zeros((2, 3), np.float32)
     half = np.float32(0.5) * np.float32(np.max(widths, initial=0.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -48,35 +48,120 @@ class Stencil:
 
 
 @dataclass(frozen=True)
-class CurveOutput:
+class PrimOutput:
+    """How a prim gets its simulated points back.
+
+    world_to_local: time [s] -> (4, 4) float64, column vectors, from scene world [m] to the prim's own space
+        [stage units].
+    skinned: the prim has a UsdSkel binding, which the result must switch off.
+    """
+
+    prim_path: str
+    world_to_local: Callable[[float], np.ndarray]
+    skinned: bool = field(default=False, kw_only=True)
+
+    @property
+    def point_count(self) -> int:
+        """How many points the prim has as authored."""
+        raise NotImplementedError
+
+    @property
+    def has_normals(self) -> bool:
+        """Whether the result refreshes authored normals."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class CurveOutput(PrimOutput):
     """How one `Strands` of the scene goes back to its BasisCurves prim.
 
     strands: index into `Scene.strands`.
     point_map: (authored point count,) int32: the simulated point that each authored point takes its place from;
         authored points that were collapsed (repeated ends) share one.
+    widths: (authored point count,) float64 [stage units] as they apply to points, for `extent`.
     stencil: how authored points follow from several simulated ones, where they are not points of the curve
         (Bezier handles); None where `point_map` says all.
-    world_to_local: time [s] -> (4, 4) float64, column vectors, from scene world [m] to the prim's own space
-        [stage units].
-    widths: (authored point count,) float64 [stage units] as they apply to points, for `extent`.
-    skinned: the prim has a UsdSkel binding, which the result must switch off.
     normals: authored ones, which are to be refreshed; None for none, or none that can be.
     """
 
-    prim_path: str
     strands: int
     point_map: np.ndarray
-    world_to_local: Callable[[float], np.ndarray]
     widths: np.ndarray
     stencil: Stencil | None = None
-    skinned: bool = False
     normals: Normals | None = None
+
+    @property
+    def point_count(self) -> int:
+        return len(self.point_map)
+
+    @property
+    def has_normals(self) -> bool:
+        return self.normals is not None
 
     def drawn(self, simulated: np.ndarray) -> np.ndarray:
         """(authored point count, 3), points or velocities, from those of the prim's simulated points (n, 3)."""
         if self.stencil is None:
             return simulated[self.point_map]
         return np.einsum("ns,nsd->nd", self.stencil.weights, simulated[self.stencil.points])
+
+
+@dataclass(frozen=True)
+class MeshNormals:
+    """Authored normals of a mesh, each carried by the triangles about it that it is drawn with.
+
+    values: (n, 3) float64, as many as authored, unit, in the space of `rest`.
+    triangles: (m, 3) int32 and rest: (p, 3) [m]: the skin they are drawn on, and where it lies meanwhile.
+    entries, carriers: (k,) pairs of a normal and one of the triangles that turn it; entries in order.
+    """
+
+    values: np.ndarray
+    triangles: np.ndarray
+    rest: np.ndarray
+    entries: np.ndarray
+    carriers: np.ndarray
+
+
+@dataclass(frozen=True)
+class MeshOutput(PrimOutput):
+    """How a `TetBody` of the scene goes back to the Mesh that is its skin, or the TetMesh whose nodes it has.
+
+    body: index into `Scene.bodies`.
+    point_map: (authored point count,) int32: the point of the body's skin (`of_nodes`: the node) that each
+        authored point takes its place from; -1 for those that `loose` places.
+    loose: points of the prim that no face or tet holds, and where they lie in the body's tets.
+    normals: authored ones, which are to be refreshed; None for none, or none that can be.
+    """
+
+    body: int
+    point_map: np.ndarray
+    of_nodes: bool = False
+    loose: Embedded | None = None
+    normals: MeshNormals | None = None
+
+    @property
+    def point_count(self) -> int:
+        return len(self.point_map)
+
+    @property
+    def has_normals(self) -> bool:
+        return self.normals is not None
+
+    def drawn(self, skin: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        """(authored point count, 3), points or velocities, from those of the body's skin and of its nodes."""
+        result = (nodes if self.of_nodes else skin)[self.point_map]
+        if self.loose is not None:
+            corners = nodes[self.loose.nodes]
+            result[self.loose.points] = np.einsum("na,nad->nd", self.loose.barycentric, corners)
+        return result
+
+
+@dataclass(frozen=True)
+class Embedded:
+    """Authored points in tets. points: (n,).  nodes: (n, 4) corners.  barycentric: (n, 4), rows sum to one."""
+
+    points: np.ndarray
+    nodes: np.ndarray
+    barycentric: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -111,10 +196,16 @@ class Shot:
     prims: tuple[PrimReport, ...]
     warnings: tuple[str, ...] = ()
     layers: tuple[Path, ...] = ()
+    meshes: tuple[MeshOutput, ...] = ()
+
+    @property
+    def outputs(self) -> tuple[PrimOutput, ...]:
+        """Every prim that the result overrides."""
+        return (*self.curves, *self.meshes)
 
 
 @dataclass(frozen=True)
-class CurveFrame:
+class PrimFrame:
     """One prim's result at one time sample, in the prim's own space and units.
 
     points (n, 3) float32; velocities (n, 3) float32, per second; extent (2, 3) float32; normals (m, 3) float32,

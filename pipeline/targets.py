@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
-from plait.pipeline.shot import CurveOutput, Shot
+from plait.pipeline.shot import PrimOutput, Shot
 
 VALUE_TYPES = {
     "points": Sdf.ValueTypeNames.Point3fArray,
@@ -38,14 +38,14 @@ class Target:
     blocked: tuple[tuple[str, Sdf.ValueTypeName], ...] = ()
 
 
-def curve_target(prim: Usd.Prim, output: CurveOutput) -> Target:
+def prim_target(prim: Usd.Prim, output: PrimOutput) -> Target:
     """What overriding `prim`, the source's own, takes.
 
     Attributes that belong to the source's own points and are not given anew are blocked.
     """
     attributes, stale = ["points", "velocities", "extent"], ["accelerations", "primvars:normals:indices"]
     normals = [name for name in ("primvars:normals", "normals") if _authored(prim, name)]
-    if output.normals is not None:
+    if output.has_normals:
         attributes.append(normals[0] if normals else "normals")
     else:
         stale += normals
@@ -70,7 +70,7 @@ def free_clip_set(prim: Usd.Prim) -> str:
     return name
 
 
-def ancestor_targets(stage: Usd.Stage, outputs: Iterable[CurveOutput]) -> tuple[Target, ...]:
+def ancestor_targets(stage: Usd.Stage, outputs: Iterable[PrimOutput]) -> tuple[Target, ...]:
     """Prims above the simulated ones whose authored bounds no longer hold.
 
     A SkelRoot's `extent` stands for all beneath it, so it is written anew; an `extentsHint` is only a shortcut,
@@ -110,7 +110,7 @@ class Overridden:
 
     def __init__(self, shot: Shot) -> None:
         """Opens the stage with the simulated prims alone. Raises ValueError for a prim it does not have."""
-        self.counts = {output.prim_path: len(output.point_map) for output in shot.curves}
+        self.counts = {output.prim_path: output.point_count for output in shot.outputs}
         mask = Usd.StagePopulationMask([Sdf.Path(path) for path in self.counts])
         self._stage = Usd.Stage.OpenMasked(str(shot.info.path), mask)
         missing = [path for path in self.counts if not self._stage.GetPrimAtPath(path)]
@@ -118,9 +118,9 @@ class Overridden:
             raise ValueError(f"{shot.info.path} has no prim {missing[0]}")
         self.root_layer = self._stage.GetRootLayer()
         self.outputs = tuple(
-            curve_target(self._stage.GetPrimAtPath(output.prim_path), output) for output in shot.curves
+            prim_target(self._stage.GetPrimAtPath(output.prim_path), output) for output in shot.outputs
         )
-        self.bounds = ancestor_targets(self._stage, shot.curves)
+        self.bounds = ancestor_targets(self._stage, shot.outputs)
         self.instances = instances_above(self._stage, self.counts)
         self.layers = tuple(Path(layer.realPath) for layer in self._stage.GetUsedLayers() if layer.realPath)
 

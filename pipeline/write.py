@@ -26,7 +26,7 @@ from pxr import Sdf, Tf
 from plait.pipeline import layers
 from plait.pipeline.errors import InputError, PlaitError, UsageError
 from plait.pipeline.layers import Sample
-from plait.pipeline.shot import CurveFrame, Shot
+from plait.pipeline.shot import PrimFrame, Shot
 from plait.pipeline.targets import Overridden
 
 OVERRIDES, MANIFEST = "overrides.usda", "manifest.usda"
@@ -44,8 +44,8 @@ class CacheWriter:
     """Writes one run's result: every sample, in order, to `add`; `close` at the end or when stopping early.
 
         with CacheWriter(out, shot, samples=[(1.0,), (2.0,)], chunk=20, provenance=made) as writer:
-            writer.add(1.0, [CurveFrame(...)])
-            writer.add(2.0, [CurveFrame(...)])
+            writer.add(1.0, [PrimFrame(...)])
+            writer.add(2.0, [PrimFrame(...)])
 
     Leaving the `with` closes, also on an error, so that frames already simulated are kept.
     """
@@ -103,7 +103,7 @@ class CacheWriter:
         """How many frames, from the first, are whole on disk."""
         return bisect.bisect_right(self._frame_ends, self._on_disk)
 
-    def add(self, code: float, results: Iterable[CurveFrame]) -> None:
+    def add(self, code: float, results: Iterable[PrimFrame]) -> None:
         """Takes the sample at time code `code`; writes a chunk when its last frame is complete.
 
         A sample that is on disk already is passed over: a resumed run may start from an earlier checkpoint.
@@ -162,7 +162,7 @@ class CacheWriter:
                     "the result would overwrite this layer of the shot", file=path, mend="choose another -o"
                 )
 
-    def _sample(self, code: float, results: Iterable[CurveFrame]) -> Sample:
+    def _sample(self, code: float, results: Iterable[PrimFrame]) -> Sample:
         given = {result.prim_path: result for result in results}
         if given.keys() != self._source.counts.keys():
             raise ValueError(f"sample {code}: results for {sorted(given)}, not {sorted(self._source.counts)}")
@@ -272,7 +272,7 @@ class CacheWriter:
         return len(found), layers.read_samples(layer, self._source.targets, wanted)
 
 
-def _array(result: CurveFrame, name: str) -> np.ndarray:
+def _array(result: PrimFrame, name: str) -> np.ndarray:
     value = getattr(result, name.removeprefix("primvars:"))
     if value is None:
         raise ValueError(f"<{result.prim_path}> has authored normals: they must be refreshed")

@@ -45,6 +45,7 @@ class Body:
     surface: as the scene has it (colliding, without contact parameters: the caller's `replace` adds those).
     face_of: (triangle_count,) the face each triangle was cut from; each face's run is contiguous.
     corners: faces' vertices as authored, welded: corner_offsets (face_count + 1,) into corner_points.
+    welded: (authored point count,) int32, the surface's point that each authored one is.
     authored_points, authored_corners: (triangle_count, 3), the triangles' points, and their entries in the
         face-vertex lists, as authored: where primvars are found.
     rest_to_world: (4, 4), rest points to scene coordinates at the first frame in the bind pose.
@@ -59,6 +60,7 @@ class Body:
     face_of: np.ndarray
     corner_offsets: np.ndarray
     corner_points: np.ndarray
+    welded: np.ndarray
     authored_points: np.ndarray
     authored_corners: np.ndarray
     rest_to_world: np.ndarray
@@ -123,6 +125,10 @@ class _Polygons:
 
 def mesh_sizes(prim: Usd.Prim, source: Source) -> dict[str, int]:
     """Counts for a report."""
+    if prim.IsA(UsdGeom.TetMesh):
+        tets = UsdGeom.TetMesh(prim)
+        held = tets.GetTetVertexIndicesAttr().Get(source.start), tets.GetPointsAttr().Get(source.start)
+        return {"tets": len(held[0] or []), "points": len(held[1] or [])}
     if not prim.IsA(UsdGeom.Mesh):
         return {}
     mesh = UsdGeom.Mesh(prim)
@@ -153,6 +159,7 @@ def read_body(source: Source, prim: Usd.Prim, binding: SkeletonBinding | None) -
         face_of=face_of,
         corner_offsets=offsets,
         corner_points=welded[polygons.indices],
+        welded=welded,
         authored_points=triangles,
         authored_corners=polygons.entries[_corners_of(triangles, face_of, offsets, polygons.indices)],
         rest_to_world=moved.rest_to_world,
@@ -301,6 +308,8 @@ def _shape_rows(held: BlendShapes, point_count: int) -> np.ndarray:
 
 
 def _read_polygons(source: Source, prim: Usd.Prim) -> _Polygons:
+    if prim.IsA(UsdGeom.TetMesh):
+        return _read_tet_surface(source, prim)
     if not prim.IsA(UsdGeom.Mesh):
         points, counts, indices = shapes.polygons(source, prim)
         return _Polygons(points, counts, indices, np.arange(len(indices)), False, False, False)
@@ -320,13 +329,7 @@ def _read_polygons(source: Source, prim: Usd.Prim) -> _Polygons:
             "faceVertexIndices",
             "make the counts fit the indices",
         )
-    if len(indices) and (indices.min() < 0 or indices.max() >= len(points)):
-        raise source.error(
-            f"names point {int(indices.min() if indices.min() < 0 else indices.max())} of {len(points)}",
-            prim,
-            "faceVertexIndices",
-            f"use 0 to {len(points) - 1}",
-        )
+    check_indices(source, mesh.GetFaceVertexIndicesAttr(), indices, len(points))
     holes = values.integers(source, mesh.GetHoleIndicesAttr())
     solid = (counts >= 3) & ~np.isin(np.arange(len(counts)), holes)
     # Faces keep their numbers (skinprim counts them): one that is left out keeps no vertices.
@@ -340,6 +343,38 @@ def _read_polygons(source: Source, prim: Usd.Prim) -> _Polygons:
         mesh.GetSubdivisionSchemeAttr().Get() not in (UsdGeom.Tokens.none, None),
         mesh.GetPointsAttr().ValueMightBeTimeVarying(),
     )
+
+
+def _read_tet_surface(source: Source, prim: Usd.Prim) -> _Polygons:
+    """The faces of a TetMesh that are its surface: as authored, else as USD finds them."""
+    mesh = UsdGeom.TetMesh(prim)
+    points = values.steady_vectors(source, mesh.GetPointsAttr())
+    faces = values.vectors(source, mesh.GetSurfaceFaceVertexIndicesAttr()).astype(np.int64)
+    check_indices(source, mesh.GetSurfaceFaceVertexIndicesAttr(), faces, len(points))
+    if not len(faces):
+        faces = np.array(UsdGeom.TetMesh.ComputeSurfaceFaces(mesh, source.start), dtype=np.int64).reshape(-1, 3)
+    return _Polygons(
+        points,
+        np.full(len(faces), 3),
+        faces.ravel(),
+        np.arange(faces.size),
+        mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded,
+        False,
+        mesh.GetPointsAttr().ValueMightBeTimeVarying(),
+    )
+
+
+def check_indices(source: Source, attribute: Usd.Attribute, indices: np.ndarray, point_count: int) -> None:
+    """Raises InputError for an index that names no point, or that is animated."""
+    if attribute.ValueMightBeTimeVarying():
+        raise source.error("is animated", attribute.GetPrim(), attribute.GetName(), "the topology must not change")
+    if indices.size and (indices.min() < 0 or indices.max() >= point_count):
+        raise source.error(
+            f"names point {int(indices.min() if indices.min() < 0 else indices.max())} of {point_count}",
+            attribute.GetPrim(),
+            attribute.GetName(),
+            f"use 0 to {point_count - 1}",
+        )
 
 
 def _corners_of(

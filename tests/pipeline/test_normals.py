@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from plait.pipeline.normals import CarriedNormals
-from plait.pipeline.outputs import Outputs, curve_frame
+from plait.pipeline.outputs import Outputs, prim_frame
 from plait.pipeline.shot import CurveOutput, Normals, Shot, StageInfo
 from plait.solver.build import build
 from plait.solver.scene import KeyedMotion, RootBinding, Scene, Strands, Surface
@@ -59,8 +59,8 @@ def test_they_stay_across_the_hair_in_sheared_space():
     transform[:3, :3] = rng.normal(size=(3, 3)) + 3 * np.eye(3)
     tangent = np.array([0.0, 0.6, 0.8])
     normal = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
-    output = CurveOutput("/hair", 0, np.arange(2), lambda _: transform, np.zeros(2))
-    local = curve_frame(output, np.array([np.zeros(3), tangent]), np.zeros((2, 3)), 0.0, normal)
+    output = CurveOutput("/hair", lambda _: transform, 0, np.arange(2), np.zeros(2))
+    local = prim_frame(output, np.array([np.zeros(3), tangent]), np.zeros((2, 3)), 0.0, normals=normal)
     along = local.points[1] - local.points[0]
     np.testing.assert_allclose(
         local.normals @ along, 0.0, atol=8 * np.finfo(np.float32).eps * np.linalg.norm(along)
@@ -96,13 +96,13 @@ def test_a_turned_root_turns_the_normals_of_hair_at_rest(axis):
     )
     values = np.array([[0.0, 0.6, 0.8], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
     output = CurveOutput(
-        "/hair", 0, np.arange(6), lambda _: np.eye(4), np.zeros(6), normals=Normals(values, np.array([0, 2, 4]))
+        "/hair", lambda _: np.eye(4), 0, np.arange(6), np.zeros(6), normals=Normals(values, np.array([0, 2, 4]))
     )
     info = StageInfo("made.usda", 1.0, "Y", 24.0, 24.0, 0.0, 36.0)
     scene = Scene((scalp,), (hair,), gravity=np.zeros(3))
     simulation = build(scene, Settings(threads=1), 0.0)
     try:
-        outputs = Outputs(Shot(info, scene, (output,), ()), simulation.model.parts["strands"])
+        outputs = Outputs(Shot(info, scene, (output,), ()), simulation.model.parts)
         for frame in range(1, 37):
             simulation.advance_frame(frame / 24.0, 4)
         (result,) = outputs.frames(1.5)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
-from plait.pipeline.shot import CurveFrame, CurveOutput, Normals, Shot, StageInfo
+from plait.pipeline.shot import CurveOutput, Normals, PrimFrame, Shot, StageInfo
 from plait.pipeline.write import CacheWriter
 from plait.solver.scene import Scene
 
@@ -73,9 +73,9 @@ def shot_of(
         curves.append(
             CurveOutput(
                 name,
+                lambda _: np.eye(4),
                 index,
                 np.arange(count, dtype=np.int32),
-                lambda _: np.eye(4),
                 np.full(count, WIDTH),
                 skinned=name in skinned,
                 normals=Normals(np.eye(3)[np.full(count, 2)], np.zeros(count, np.int64)) if has_normals else None,
@@ -84,17 +84,17 @@ def shot_of(
     return Shot(info, Scene(), tuple(curves), ())
 
 
-def result(output: CurveOutput, code: float, width: float = WIDTH, normals: bool = False) -> CurveFrame:
+def result(output: CurveOutput, code: float, width: float = WIDTH, normals: bool = False) -> PrimFrame:
     """Made-up values that differ at every code, prim and point, the same on every call."""
     count = len(output.point_map)
     seed = np.arange(3 * count, dtype=np.float64).reshape(count, 3) + 17.0 * output.strands
     points = (np.sin(seed) + 0.1 * code).astype(np.float32)
     extent = np.stack([points.min(axis=0) - width, points.max(axis=0) + width])
     velocities = (np.cos(seed) * code).astype(np.float32)
-    return CurveFrame(output.prim_path, points, velocities, extent, velocities + 1 if normals else None)
+    return PrimFrame(output.prim_path, points, velocities, extent, velocities + 1 if normals else None)
 
 
-def results(shot: Shot, code: float, **how: float) -> list[CurveFrame]:
+def results(shot: Shot, code: float, **how: float) -> list[PrimFrame]:
     return [result(output, code, **how) for output in shot.curves]
 
 
