@@ -107,8 +107,9 @@ def joint_paths(joints: tuple[character.Joint, ...]) -> list[str]:
     return paths
 
 
-def author_skeleton(stage: Usd.Stage, joints: tuple[character.Joint, ...]) -> None:
-    skeleton = UsdSkel.Skeleton.Define(stage, BODY.AppendChild("Skeleton"))
+def author_skeleton(stage: Usd.Stage, joints: tuple[character.Joint, ...], body: Sdf.Path = BODY) -> None:
+    """The skeleton of the SkelRoot at `body`, driven by the clip `Walk` beside it."""
+    skeleton = UsdSkel.Skeleton.Define(stage, body.AppendChild("Skeleton"))
     places = np.array([joint.place for joint in joints])
     parents = np.array([joint.parent for joint in joints])
     local = places - np.where(parents[:, None] < 0, 0.0, places[parents])
@@ -117,8 +118,8 @@ def author_skeleton(stage: Usd.Stage, joints: tuple[character.Joint, ...]) -> No
     skeleton.CreateRestTransformsAttr(translations_as_matrices(local))
     skeleton.CreatePurposeAttr(UsdGeom.Tokens.guide)
     binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
-    binding.CreateAnimationSourceRel().SetTargets([BODY.AppendChild("Walk")])
-    root = UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath(BODY))
+    binding.CreateAnimationSourceRel().SetTargets([body.AppendChild("Walk")])
+    root = UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath(body))
     root.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
 
 
@@ -161,10 +162,20 @@ def vectors(values: np.ndarray) -> Vt.Vec3fArray:
 
 def author_walk(stage: Usd.Stage, joints: tuple[character.Joint, ...]) -> None:
     stage.OverridePrim(WORLD)
-    clip = UsdSkel.Animation.Define(stage, BODY.AppendChild("Walk"))
+    author_clip(stage, BODY, joints, np.arange(FIRST_FRAME, LAST_FRAME + 1e-6, 1.0 / SAMPLES_PER_FRAME))
+
+
+def author_clip(
+    stage: Usd.Stage,
+    body: Sdf.Path,
+    joints: tuple[character.Joint, ...],
+    codes: np.ndarray,
+    choreography: walk.Choreography = walk.SAMPLE,
+) -> None:
+    """`Walk` beneath `body`, sampled at time codes of which the first is the choreography's second 0."""
+    clip = UsdSkel.Animation.Define(stage, body.AppendChild("Walk"))
     clip.CreateJointsAttr(joint_paths(joints))
-    codes = np.arange(FIRST_FRAME, LAST_FRAME + 1e-6, 1.0 / SAMPLES_PER_FRAME)
-    translations, rotations = walk.animation(joints, (codes - FIRST_FRAME) / RATE)
+    translations, rotations = walk.animation(joints, (codes - codes[0]) / RATE, choreography)
     turns = walk.quaternions(rotations).round(7)
     clip.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1.0)] * len(joints)))
     moving, turning = clip.CreateTranslationsAttr(), clip.CreateRotationsAttr()

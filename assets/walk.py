@@ -1,4 +1,4 @@
-"""The sample's animation: standing, a few steps, a full turn on one foot, standing again.
+"""People who walk. The sample's choreography: standing, a few steps, a full turn on one foot, standing again.
 
 All is analytic in time: feet go from footprint to footprint, the hips follow them, legs are bent to reach, the
 rest of the body swings along. Lengths in centimetres, times in seconds from the first frame, angles in radians,
@@ -33,16 +33,34 @@ class Swing:
     height: float
 
 
+@dataclass(frozen=True)
+class Choreography:
+    """What is walked.
+
+    steps: for each side, swings in their order.  spin: start and end [s] of the full turn on the left foot.
+    arms_out: [rad] of the hanging arms from the vertical.  staff: whether the right hand carries one.
+    """
+
+    steps: dict[str, tuple[Swing, ...]]
+    spin: tuple[float, float]
+    arms_out: float = np.radians(11.0)
+    staff: bool = True
+
+
 STEPS = {
     "Left": (Swing(0.81, 1.19, 7.5, 74.0, 5.0), Swing(1.53, 1.81, 7.0, 128.0, 4.0)),
     "Right": (Swing(0.39, 0.77, -7.5, 40.0, 5.0), Swing(1.20, 1.52, -7.5, 110.0, 5.0),
               Swing(SPIN_START + 0.02, SPIN_END + 0.02, -12.0, 128.0, 9.0)),
 }  # fmt: skip
+SAMPLE = Choreography(STEPS, (SPIN_START, SPIN_END))
+NEVER = (1e6, 1e6 + 1.0)  # a spin that does not come
 
 
-def animation(joints: tuple[Joint, ...], times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def animation(
+    joints: tuple[Joint, ...], times: np.ndarray, choreography: Choreography = SAMPLE
+) -> tuple[np.ndarray, np.ndarray]:
     """Local translations (time_count, joint_count, 3) [cm] and rotations (time_count, joint_count, 3, 3)."""
-    world = Walk(joints).world(times)
+    world = Walk(joints, choreography).world(times)
     rest = np.array([joint.place for joint in joints])
     rotations = np.stack([world[joint.name] for joint in joints], axis=1)
     translations = np.empty((len(times), len(joints), 3))
@@ -59,9 +77,14 @@ def animation(joints: tuple[Joint, ...], times: np.ndarray) -> tuple[np.ndarray,
 class Walk:
     """Paths of feet and hips, from which every joint's orientation follows."""
 
-    def __init__(self, joints: tuple[Joint, ...]) -> None:
+    def __init__(self, joints: tuple[Joint, ...], choreography: Choreography = SAMPLE) -> None:
         self._rest = {joint.name: joint.place for joint in joints}
-        self._times = np.arange(-1.0, DURATION + 1.0, 1.0 / FINE)
+        self._plan = choreography
+        self._steps = choreography.steps
+        self._spin_start, self._spin_end = choreography.spin
+        last = max(swing.end for swings in self._steps.values() for swing in swings)
+        self._stop = min(self._spin_start, last)
+        self._times = np.arange(-1.0, max(DURATION, last) + 1.0, 1.0 / FINE)
         self._feet = {side: self._ankle(side, self._times) for side in SIDES}
         self._hips = self._hip_path()
 
@@ -71,14 +94,14 @@ class Walk:
         """(3,) the ball joint's place when the foot lies flat, after `number` steps."""
         ball = self._rest[side + "Toe"].copy()
         if number:
-            swing = STEPS[side][number - 1]
+            swing = self._steps[side][number - 1]
             ball[[0, 2]] = swing.x, swing.z
         return ball
 
     def planted(self, side: str, times: np.ndarray) -> np.ndarray:
         """Number of the footprint the foot stands on, -1 in the air."""
         number = np.zeros(len(times), dtype=int)
-        for k, swing in enumerate(STEPS[side]):
+        for k, swing in enumerate(self._steps[side]):
             number[times > swing.start] = -1
             number[times >= swing.end] = k + 1
         return number
@@ -86,18 +109,18 @@ class Walk:
     def pitch(self, side: str, times: np.ndarray) -> np.ndarray:
         """Of the foot, positive with the heel up."""
         result = np.zeros(len(times))
-        for swing in STEPS[side]:
+        for swing in self._steps[side]:
             result += LIFT_PITCH * smooth(times, swing.start - 0.2, swing.start)
             result += (LAND_PITCH - LIFT_PITCH) * smooth(times, swing.start, swing.end)
             result -= LAND_PITCH * smooth(times, swing.end, swing.end + 0.1)
         if side == "Left":
-            result += np.radians(16.0) * smooth(times, SPIN_START, SPIN_START + 0.2)
-            result -= np.radians(16.0) * smooth(times, SPIN_END - 0.25, SPIN_END)
+            result += np.radians(16.0) * smooth(times, self._spin_start, self._spin_start + 0.2)
+            result -= np.radians(16.0) * smooth(times, self._spin_end - 0.25, self._spin_end)
         return result
 
     def _standing(self, side: str, number: int, times: np.ndarray) -> np.ndarray:
         """(time_count, 3) ankle of a foot on a footprint: it rolls on its heel or on its ball."""
-        yaw, pitch = rotation_y(turned(times)), rotation_x(self.pitch(side, times))
+        yaw, pitch = rotation_y(self.turned(times)), rotation_x(self.pitch(side, times))
         ankle_to_ball = self._rest[side + "Toe"] - self._rest[side + "Foot"]
         ankle_to_heel = np.array([0.0, -self._rest[side + "Foot"][1], HEEL])
         ball = self.footprint(side, number)
@@ -111,10 +134,10 @@ class Walk:
         """(time_count, 3)"""
         number = self.planted(side, times)
         result = np.empty((len(times), 3))
-        for k in range(len(STEPS[side]) + 1):
+        for k in range(len(self._steps[side]) + 1):
             stands = number == k
             result[stands] = self._standing(side, k, times[stands])
-        for k, swing in enumerate(STEPS[side]):
+        for k, swing in enumerate(self._steps[side]):
             flies = (times > swing.start) & (times < swing.end)
             result[flies] = self._flight(side, k, swing, times[flies])
         return result
@@ -124,11 +147,11 @@ class Walk:
         ends = np.array([swing.start, swing.end])
         first = self._standing(side, number, ends)[0]
         last = self._standing(side, number + 1, ends)[1]
-        pivot = self.footprint("Left", len(STEPS["Left"])) * (1.0, 0.0, 1.0)
-        back = rotation_y(-turned(ends))
+        pivot = self.footprint("Left", len(self._steps["Left"])) * (1.0, 0.0, 1.0)
+        back = rotation_y(-self.turned(ends))
         first, last = back[0] @ (first - pivot), back[1] @ (last - pivot)
         share = smooth(times, swing.start, swing.end)[:, None]
-        place = pivot + apply(rotation_y(turned(times)), first + share * (last - first))
+        place = pivot + apply(rotation_y(self.turned(times)), first + share * (last - first))
         place[:, 1] += swing.height * bump(times, swing.start, swing.end)
         return place
 
@@ -140,7 +163,7 @@ class Walk:
         weight = self._weight_on_left(times)[:, None]
         place = gaussian(weight * left + (1.0 - weight) * right, 0.1)
         forward = self._rest["Hips"] - 0.5 * (self._rest["LeftFoot"] + self._rest["RightFoot"])
-        place += apply(rotation_y(turned(times)), forward * (0.0, 0.0, 1.0))
+        place += apply(rotation_y(self.turned(times)), forward * (0.0, 0.0, 1.0))
         place[:, 1] = 0.0
         orientation = self._hip_orientation(times)
         height = np.full(len(times), self._rest["Hips"][1] - 0.3)
@@ -158,19 +181,19 @@ class Walk:
         fine = self._times  # whatever is asked for, it is smoothed at the one rate
         left, right = self.planted("Left", fine) >= 0, self.planted("Right", fine) >= 0
         weight = 0.5 + 0.14 * left - 0.14 * right
-        weight[(fine > SPIN_START) & (fine < SPIN_END)] = 0.95
+        weight[(fine > self._spin_start) & (fine < self._spin_end)] = 0.95
         return np.interp(times, fine, gaussian(weight, 0.08))
 
     def _hip_orientation(self, times: np.ndarray) -> np.ndarray:
-        yaw = turned(times) + np.radians(7.0) * self._stride(times)
-        walking = 1.0 - smooth(times, SPIN_START - 0.2, SPIN_START + 0.2)
+        yaw = self.turned(times) + np.radians(7.0) * self._stride(times)
+        walking = 1.0 - smooth(times, self._spin_start - 0.2, self._spin_start + 0.2)
         roll = np.radians(8.0) * (self._weight_on_left(times) - 0.5) / 0.28 * walking
         return rotation_y(yaw) @ rotation_z(0.5 * roll)
 
     def _stride(self, times: np.ndarray) -> np.ndarray:
         """How far the right foot is ahead of the left, in strides of 60 cm."""
         ahead = self._feet["Right"] - self._feet["Left"]
-        yaw = turned(self._times)
+        yaw = self.turned(self._times)
         forward = ahead[:, 0] * np.sin(yaw) + ahead[:, 2] * np.cos(yaw)
         return np.interp(times, self._times, gaussian(forward, 0.06) / 60.0)
 
@@ -191,16 +214,20 @@ class Walk:
 
     def _trunk(self, times: np.ndarray, world: dict[str, np.ndarray]) -> None:
         stride = self._stride(times)
-        going = smooth(times, 0.3, 0.75) - smooth(times, SPIN_START - 0.1, SPIN_START + 0.4)
-        wind_up = np.radians(-14.0) * bump(times, SPIN_START - 0.3, SPIN_START + 0.25)
+        going = smooth(times, 0.3, 0.75) - smooth(times, self._stop - 0.1, self._stop + 0.4)
+        wind_up = np.radians(-14.0) * bump(times, self._spin_start - 0.3, self._spin_start + 0.25)
         height = sample(times, self._times, self._hips)[:, 1]
         nod = np.radians(0.8) * (height - self._rest["Hips"][1]) + np.radians(3.0) * going
         for share, name in zip((0.35, 0.7, 1.0), ("Spine", "Chest", "UpperChest"), strict=True):
-            yaw = turned(times + 0.012 * share) + np.radians(7.0) * stride * (1.0 - 1.9 * share) + share * wind_up
+            yaw = (
+                self.turned(times + 0.012 * share)
+                + np.radians(7.0) * stride * (1.0 - 1.9 * share)
+                + share * wind_up
+            )
             lean = np.radians(3.5) * share * going
             world[name] = rotation_y(yaw) @ rotation_x(lean)
-        world["Neck"] = rotation_y(turned(times + 0.016) + 0.5 * wind_up) @ rotation_x(0.5 * nod + 0.01)
-        world["Head"] = rotation_y(turned(times + 0.02) + 0.2 * wind_up) @ rotation_x(-0.6 * nod)
+        world["Neck"] = rotation_y(self.turned(times + 0.016) + 0.5 * wind_up) @ rotation_x(0.5 * nod + 0.01)
+        world["Head"] = rotation_y(self.turned(times + 0.02) + 0.2 * wind_up) @ rotation_x(-0.6 * nod)
 
     def _leg(self, side: str, times: np.ndarray, world: dict[str, np.ndarray]) -> None:
         """Two bones from the hip to the ankle; the knee bends in the plane of the foot's direction."""
@@ -212,7 +239,7 @@ class Walk:
         if np.any(length > 0.9999 * (upper + lower)):
             raise ValueError(f"{side} leg does not reach the ground at {times[np.argmax(length)]:.2f} s")
         axis /= length[:, None]
-        yaw = rotation_y(turned(times) + (0.08 if side == "Left" else -0.08))
+        yaw = rotation_y(self.turned(times) + (0.08 if side == "Left" else -0.08))
         ahead = apply(yaw, np.array([0.0, 0.0, 1.0]))
         ahead -= axis * np.einsum("ij,ij->i", ahead, axis)[:, None]
         ahead /= np.linalg.norm(ahead, axis=1)[:, None]
@@ -224,22 +251,24 @@ class Walk:
             child = {"Thigh": "Shin", "Shin": "Foot"}[name]
             bone = self._rest[side + child] - self._rest[side + name]
             world[side + name] = aim(end - start, sideways) @ aim(bone[None], np.array([[1.0, 0.0, 0.0]]))[0].T
-        foot_yaw, pitch = rotation_y(turned(times)), self.pitch(side, times)
+        foot_yaw, pitch = rotation_y(self.turned(times)), self.pitch(side, times)
         world[side + "Foot"] = foot_yaw @ rotation_x(pitch)
         # With the heel up the toes stay flat, and nearly so in the air; else they go with the foot.
         in_air = np.zeros(len(times))
-        for swing in STEPS[side]:
+        for swing in self._steps[side]:
             in_air += bump(times, swing.start, swing.end)
         world[side + "Toe"] = foot_yaw @ rotation_x(np.where(pitch > 0.0, 0.4 * in_air * pitch, pitch))
 
     def _arm(self, side: str, times: np.ndarray, world: dict[str, np.ndarray]) -> None:
         sign = 1.0 if side == "Left" else -1.0
         chest = world["UpperChest"]
-        spinning = smooth(times, SPIN_START, SPIN_START + 0.35) - smooth(times, SPIN_END - 0.25, SPIN_END + 0.45)
+        spinning = smooth(times, self._spin_start, self._spin_start + 0.35) - smooth(
+            times, self._spin_end - 0.25, self._spin_end + 0.45
+        )
         swing = sign * np.radians(34.0) * self._stride(times)
         world[side + "Clavicle"] = chest
-        if side == "Left":
-            outward = np.radians(11.0) + np.radians(38.0) * spinning
+        if side == "Left" or not self._plan.staff:
+            outward = self._plan.arms_out + np.radians(38.0) * spinning
             flex = np.radians(10.0) + 0.5 * np.maximum(swing, 0.0) + np.radians(25.0) * spinning
         else:  # carries the staff
             swing = 0.3 * swing - np.radians(6.0)
@@ -249,16 +278,15 @@ class Walk:
         world[side + "UpperArm"] = chest @ rotation_x(-swing) @ lower
         world[side + "Forearm"] = chest @ rotation_x(-swing - flex) @ lower
         world[side + "Hand"] = world[side + "Forearm"]
-        if side == "Right":
+        if side == "Right" and self._plan.staff:
             # The fist keeps the staff upright, a little forward.
             upright = rotation_x(np.full(len(times), np.radians(-84.0)))
-            world[side + "Hand"] = rotation_y(turned(times)) @ upright @ lower
+            world[side + "Hand"] = rotation_y(self.turned(times)) @ upright @ lower
 
-
-def turned(times: np.ndarray) -> np.ndarray:
-    """The body's heading: one full turn to its own left, fastest half way."""
-    u = np.clip((times - SPIN_START) / (SPIN_END - SPIN_START), 0.0, 1.0)
-    return 2.0 * np.pi * u * u * (3.0 - 2.0 * u)
+    def turned(self, times: np.ndarray) -> np.ndarray:
+        """The body's heading: one full turn to its own left, fastest half way."""
+        u = np.clip((times - self._spin_start) / (self._spin_end - self._spin_start), 0.0, 1.0)
+        return 2.0 * np.pi * u * u * (3.0 - 2.0 * u)
 
 
 def smooth(times: np.ndarray, start: float, end: float) -> np.ndarray:
