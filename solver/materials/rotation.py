@@ -15,9 +15,9 @@ from types import SimpleNamespace
 import warp as wp
 
 MAX_ITERATIONS = 24
-# Where the denominator over f^3 is less, the formula is evaluated in float64, and with less again R comes from an
-# SVD: rounding is amplified by its inverse.
-ILL_FLOAT32, ILL_FLOAT64 = 5.0e-2, 1.0e-5
+# Where the denominator over f^3 is less (it is .6 at rest), the formula is evaluated in float64, and with less
+# again R comes from an SVD: R's error is that of rounding over this squared.
+ILL_FLOAT32, ILL_FLOAT64 = 0.1, 3.0e-3
 
 
 def module_name(real: type) -> str:

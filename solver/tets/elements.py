@@ -79,7 +79,6 @@ def element_kernels(law: ElasticLaw, real: type) -> SimpleNamespace:
     semi_definite, projected(elements, position -> block_out): (10 tet_count,) mat33 [N/m], of pair k of `PAIRS` of
         tet t at 10 t + k, of a positive semi-definite stiffness: the cheap one of the law, or, also where it has
         none, the exact one with its negative eigenvalues made zero.
-    exact(elements, position -> block_out): the same, not projected.
     deformation(elements, position -> gradient_out): (tet_count,) mat33, F.
     `position`: (node_count,) vec3d [m].
     """
@@ -139,8 +138,7 @@ def element_kernels(law: ElasticLaw, real: type) -> SimpleNamespace:
         t = first + wp.tid()
         gradient_out[t] = deformation_gradient(elements, position, t)
 
-    projected, exact = _principal_stiffness(law, real, deformation_gradient)
-    semi_definite = projected
+    projected = semi_definite = _projected_stiffness(law, real, deformation_gradient)
     if functions.semi_definite is not None:
         semi_definite = _cheap_stiffness(law, real, deformation_gradient)
     return SimpleNamespace(
@@ -149,7 +147,6 @@ def element_kernels(law: ElasticLaw, real: type) -> SimpleNamespace:
         deformation=deformation,
         semi_definite=semi_definite,
         projected=projected,
-        exact=exact,
     )
 
 
@@ -223,22 +220,25 @@ def _cheap_stiffness(law: ElasticLaw, real: type, deformation_gradient: wp.Funct
     return semi_definite
 
 
-def _principal_stiffness(
-    law: ElasticLaw, real: type, deformation_gradient: wp.Function
-) -> tuple[wp.Kernel, wp.Kernel]:
-    """Kernels `projected` and `exact`, each in a module of its own: few runs need the first, none the second."""
+def _projected_stiffness(law: ElasticLaw, real: type, deformation_gradient: wp.Function) -> wp.Kernel:
+    """In a module of its own: many a run does not need it."""
     types, principal = element_types(real), principal_functions(real)
     mat33, Elements = types.mat33, types.Elements
-    PrincipalHessian = principal.PrincipalHessian
     principal_hessian, decompose, block = LAWS[law](real).principal_hessian, principal.decompose, principal.block
     at_least = principal.at_least
     module = f"{module_name(law, real)}_projected"
     write_blocks = _block_writer(real, module)
 
-    @wp.func(module=module)
-    def write_principal(
-        hessian: PrincipalHessian, U: mat33, V: mat33, elements: Elements, t: int, block_out: wp.array(dtype=mat33)
+    @wp.kernel(enable_backward=False, module=module)
+    def projected(
+        first: int,
+        elements: Elements,
+        position: wp.array(dtype=wp.vec3d),
+        block_out: wp.array(dtype=mat33),
     ):
+        t = first + wp.tid()
+        U, s, V = decompose(deformation_gradient(elements, position, t))
+        hessian = at_least(principal_hessian(s, elements.mu[t], elements.lam[t]), real(0.0))
         g = wp.sqrt(elements.volume[t]) * elements.inverse_rest[t] * V
         write_blocks(
             block(hessian, U, g[0], g[0]),
@@ -251,27 +251,4 @@ def _principal_stiffness(
             block_out,
         )
 
-    @wp.kernel(enable_backward=False, module=module)
-    def projected(
-        first: int,
-        elements: Elements,
-        position: wp.array(dtype=wp.vec3d),
-        block_out: wp.array(dtype=mat33),
-    ):
-        t = first + wp.tid()
-        U, s, V = decompose(deformation_gradient(elements, position, t))
-        hessian = at_least(principal_hessian(s, elements.mu[t], elements.lam[t]), real(0.0))
-        write_principal(hessian, U, V, elements, t, block_out)
-
-    @wp.kernel(enable_backward=False, module=f"{module_name(law, real)}_exact")
-    def exact(
-        first: int,
-        elements: Elements,
-        position: wp.array(dtype=wp.vec3d),
-        block_out: wp.array(dtype=mat33),
-    ):
-        t = first + wp.tid()
-        U, s, V = decompose(deformation_gradient(elements, position, t))
-        write_principal(principal_hessian(s, elements.mu[t], elements.lam[t]), U, V, elements, t, block_out)
-
-    return projected, exact
+    return projected
