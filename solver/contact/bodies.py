@@ -33,7 +33,7 @@ class BodyTable:
         self._triangles = self.colliders.triangles.numpy()
         for collider in self.colliders.items:
             triangles = self.triangles(collider)
-            rims.append(_rim_features(triangles - collider.first_point))
+            rims.append(rim_features(triangles - collider.first_point))
             centres = collider.surface.points[triangles - collider.first_point].mean(axis=1)
             groups = _group_triangles(centres)
             vertices += [np.unique(triangles[group]) for group in groups]
@@ -52,7 +52,7 @@ class BodyTable:
         self.bodies.groups = groups
         self.bodies.triangles = self.colliders.triangles
         self.bodies.rim = wp.array(np.concatenate(rims), dtype=wp.int32, device=device)
-        self.solid = {c.index: c.closed and self._encloses_volume(c) for c in self.colliders.items}
+        self.solid = {c.index: c.closed and encloses_volume(self._corners(c)) for c in self.colliders.items}
         self._trees: list[wp.array] = []
         self._moving = wp.zeros(0, dtype=wp.int32, device=device)
 
@@ -60,10 +60,8 @@ class BodyTable:
         """(n, 3) of one surface, into the points of all."""
         return self._triangles[collider.first_triangle :][: collider.triangle_count]
 
-    def _encloses_volume(self, collider: Collider) -> bool:
-        corners = collider.surface.points[self.triangles(collider) - collider.first_point]
-        corners = corners - corners.reshape(-1, 3).mean(axis=0)
-        return float(np.einsum("ni,ni->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) > 0.0
+    def _corners(self, collider: Collider) -> np.ndarray:
+        return collider.surface.points[self.triangles(collider) - collider.first_point]
 
     def begin_frame(self) -> None:
         """Takes up the surfaces now in reach, and bounds those that stand still."""
@@ -137,7 +135,13 @@ def _group_triangles(centres: np.ndarray) -> list[np.ndarray]:
     return groups
 
 
-def _rim_features(triangles: np.ndarray) -> np.ndarray:
+def encloses_volume(corners: np.ndarray) -> bool:
+    """Whether the triangles of a closed surface, (n, 3, 3) [m], face outwards."""
+    corners = corners - corners.reshape(-1, 3).mean(axis=0)
+    return float(np.einsum("ni,ni->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) > 0.0
+
+
+def rim_features(triangles: np.ndarray) -> np.ndarray:
     """(n,) bits of the features (see `Closest`) that lie on an open border: edges opposite corners, corners."""
     edges = triangles[:, [[1, 2], [2, 0], [0, 1]]]
     keys = np.sort(edges, axis=2) @ np.array([1 << 32, 1])

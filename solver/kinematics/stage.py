@@ -88,7 +88,7 @@ class KinematicsStage:
             return
         times = [frame.start + frame.length * i / (SAMPLES - 1) for i in range(SAMPLES)]
         times[-1] = frame.end
-        self._frame_boxes = {c.index: self._box(c, times) for c in self.colliders.items if not c.carried}
+        self._frame_boxes = {c.index: self.box(c, times) for c in self.colliders.items if not c.carried}
         if self.roots is None:
             return
         self._find_in_reach(frame, times)
@@ -124,7 +124,7 @@ class KinematicsStage:
             box = self._frame_boxes.get(collider.index)
             if box is None or np.any(box[0] > upper + margin) or np.any(box[1] < lower - margin):
                 continue
-            box = self._box(collider, [substep.start, substep.end])
+            box = self.box(collider, [substep.start, substep.end])
             if np.all(box[0] <= upper + margin) and np.all(box[1] >= lower - margin):
                 self._place(collider, self.start, substep.start)
                 self._place(collider, self.end, substep.end)
@@ -165,7 +165,7 @@ class KinematicsStage:
         else:
             self._skinned += self.colliders.place(collider, buffer, self.pose_at(collider.index, time), time)
 
-    def _box(self, collider: Collider, times: list[float]) -> np.ndarray:
+    def box(self, collider: Collider, times: list[float]) -> np.ndarray:
         """(2, 3) bounds [m] of an animated surface through `times`, equally spaced."""
         seen = times if collider.surface.motion.animated else times[:1]
         return sweep(np.stack([collider.bounds.at(self.pose_at(collider.index, time)) for time in seen]))

@@ -1,0 +1,128 @@
+"""Contact with planes in an implicit solve: an augmented Lagrangian of Signorini's law and Coulomb friction.
+
+For a point y with plane n, d, anchor a, stiffness k, and forces p and t held so far (Simo and Laursen 1992):
+
+    pressure  p' = max(p - k (n . y - d), 0)
+    traction  t' = t - k (1 - n n^T) (y - a), shortened to mu p~ where it is longer
+
+Both are gradients of convex energies once p~, the pressure that bounds friction, is held, so that a Newton solve
+can search along a line. Where the held forces are those of the solve before, the plane is kept and sticking is
+exact, whatever the stiffness.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from plait.solver.contact.geometry_kernels import ZERO
+from plait.solver.contact.meeting_kernels import HALF
+from plait.solver.contact.obstacle_search_kernels import SLOTS, ObstaclePlanes, SkinPoints, point_at
+
+wp.set_module_options({"enable_backward": False})
+
+
+# A contact this many times as stiff as what it stops: less and it gives too far, more and the solve takes longer.
+STIFFER = wp.constant(wp.float64(10.0))
+# A plane left by more than this part of the distance to keep has let go.
+LEFT = wp.constant(wp.float64(1e-2))
+
+
+@wp.func
+def stiffness_of(points: SkinPoints, q: int, inertia: wp.float64) -> wp.float64:
+    """[N/m] of a point's contacts, against inertia and elasticity of what is around it."""
+    frequency = points.frequency[q]
+    return STIFFER * points.mass[q] * (inertia + frequency * frequency)
+
+
+@wp.struct
+class Push:
+    """What a plane does to a point."""
+
+    pressure: wp.float64  # [N]
+    traction: wp.vec3d  # [N]
+    energy: wp.float64  # [J] of the augmented Lagrangian
+    stiffness: wp.mat33d  # [N/m] positive semi-definite
+
+
+@wp.func
+def push(planes: ObstaclePlanes, slot: int, bound: wp.float64, k: wp.float64, y: wp.vec3d) -> Push:
+    """The contact of a point at y; `bound` [N] of its friction."""
+    out = Push()
+    n = planes.normal[slot]
+    held = planes.pressure[slot]
+    out.pressure = wp.max(held - k * (wp.dot(n, y) - planes.offset[slot]), ZERO)
+    out.energy = HALF * (out.pressure * out.pressure - held * held) / k
+    nn = wp.outer(n, n)
+    if out.pressure > ZERO:
+        out.stiffness = k * nn
+    if bound > ZERO:
+        way = y - planes.anchor[slot]
+        across = wp.identity(n=3, dtype=wp.float64) - nn
+        traction = across * (planes.traction[slot] - k * way)
+        size = wp.length(traction)
+        if size <= bound:
+            out.traction = traction
+            out.energy += HALF * size * size / k
+            out.stiffness += k * across
+        else:
+            along = traction / size
+            out.traction = bound * along
+            out.energy += bound * (size - HALF * bound) / k
+            out.stiffness += (k * bound / size) * (across - wp.outer(along, along))
+    return out
+
+
+@wp.kernel
+def evaluate_pushes(
+    first: int,
+    active: wp.array(dtype=wp.int32),
+    points: SkinPoints,
+    planes: ObstaclePlanes,
+    inertia: wp.float64,
+    x: wp.array(dtype=wp.vec3d),
+    energy_out: wp.array(dtype=wp.float64),
+    force_out: wp.array(dtype=wp.vec3d),
+    stiffness_out: wp.array(dtype=wp.mat33d),
+):
+    """Energy [J], force [N] and stiffness [N/m] of the active points' contacts with the nodes at x; one an item.
+
+    inertia: [1/s2] the inverse square of the time in which a force moves a mass.
+    """
+    q = active[first + wp.tid()]
+    y = point_at(points, q, x)
+    held = stiffness_of(points, q, inertia)
+    energy = ZERO
+    force = wp.vec3d()
+    total = wp.mat33d()
+    for k in range(SLOTS):
+        slot = q * SLOTS + k
+        if planes.surface[slot] >= 0:
+            one = push(planes, slot, planes.friction[slot] * planes.pressure[slot], held, y)
+            energy += one.energy
+            force += one.pressure * planes.normal[slot] + one.traction
+            total += one.stiffness
+    energy_out[q] = energy
+    force_out[q] = force
+    stiffness_out[q] = total
+
+
+@wp.kernel
+def hold_forces(
+    first: int,
+    active: wp.array(dtype=wp.int32),
+    points: SkinPoints,
+    planes: ObstaclePlanes,
+    inertia: wp.float64,
+    x: wp.array(dtype=wp.vec3d),
+):
+    """Holds the pressures and tractions that the active points' contacts have with the nodes at x; one an item."""
+    q = active[first + wp.tid()]
+    y = point_at(points, q, x)
+    held = stiffness_of(points, q, inertia)
+    for k in range(SLOTS):
+        slot = q * SLOTS + k
+        if planes.surface[slot] >= 0:
+            one = push(planes, slot, planes.friction[slot] * planes.pressure[slot], held, y)
+            open = wp.dot(planes.normal[slot], y) - planes.offset[slot] > LEFT * points.reach[q]
+            planes.pressure[slot] = wp.where(open, ZERO, one.pressure)
+            planes.traction[slot] = wp.where(open, wp.vec3d(), one.traction)
