@@ -86,25 +86,15 @@ def contact_functions(real: type) -> SimpleNamespace:
         return block, gradient
 
     @wp.func(module=module)
-    def plane_force(
-        planes: ContactPlanes,
-        plane: int,
-        pressure: real,
-        x: vec3,
-        origin: wp.vec3d,
-        stiffness: real,
-        slip: real,
-    ):
-        """Force [N] of one plane on a node at x, a position about `origin`, at the substep's end; see `push`."""
-        force = vec3()
-        depth = depth_under(planes, plane, x, origin, wp.float64(0.0))
-        if depth > real(0.0):
-            n = vec3(planes.normal[plane])
-            way = x - vec3(planes.anchor[plane] - origin)
-            way = way - wp.dot(way, n) * n
-            spring = real(planes.friction[plane]) * pressure / wp.max(wp.length(way), slip)
-            force = (stiffness * depth) * n - spring * way
-        return force
+    def plane_force(planes: ContactPlanes, plane: int, pressure: real, x: vec3, origin: wp.vec3d, slip: real):
+        """Force [N] of one plane on a node at x, a position about `origin`, at the substep's end; see `push`.
+
+        By the pressure that `judge` left, not the depth: a node that the last step took a little under has none.
+        """
+        n = vec3(planes.normal[plane])
+        way = x - vec3(planes.anchor[plane] - origin)
+        way = way - wp.dot(way, n) * n
+        return pressure * (n - real(planes.friction[plane]) / wp.max(wp.length(way), slip) * way)
 
     @wp.func(module=module)
     def judge(

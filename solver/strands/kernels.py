@@ -32,7 +32,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
     stretch_energy = stretch_functions(real).stretch_energy
     contact = contact_functions(real)
     touching, release = contact.touching, contact.release
-    plane_force, contact_stiffness = contact.plane_force, contact.contact_stiffness
+    plane_force = contact.plane_force
 
     @wp.func(module=module)
     def part_of_rotation(rotation: wp.mat33d, part: wp.float64):
@@ -183,7 +183,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
         pieces: int,
         stubborn: bool,
     ):
-        """The substep in `pieces` equal parts. Returns iterations, whether all converged, and the last inertia.
+        """The substep in `pieces` equal parts. Returns iterations and whether all of them converged.
 
         Gives up at the first part that does not converge unless `stubborn`. A single solve may start from
         `result`, see `Method.warm`.
@@ -200,7 +200,6 @@ def strand_kernels(real: type) -> SimpleNamespace:
         gamma = wp.float64(SDIRK2_GAMMA)
         load(state, scratch, first, count, base, stride, root)
         iterations = wp.int32(0)
-        inertia = real(0.0)
         converged = wp.bool(True)
         for stage in range(pieces * method.stages):
             if converged or stubborn:
@@ -248,7 +247,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
                         if last_stage:
                             scratch.start[slot] = scratch.position[slot]
                             scratch.start_velocity[slot] = v
-        return iterations, converged, inertia
+        return iterations, converged
 
     @wp.kernel(enable_backward=False, module=module)
     def solve(
@@ -281,12 +280,11 @@ def strand_kernels(real: type) -> SimpleNamespace:
             pieces = wp.int32(0)
             converged = wp.bool(False)
             iterations = wp.int32(0)
-            inertia = real(0.0)
             if method.warm != 0:
                 iterations += report_out.iterations[strand]
             while not converged and pieces < method.max_pieces:
                 pieces = wp.max(1, 2 * pieces)
-                more, within, inertia = march(
+                more, within = march(
                     rods, state, scratch, method, planes, constrained, state_out, strand, base, stride, root,
                     rotation, pieces, pieces >= method.max_pieces,
                 )  # fmt: skip
@@ -314,7 +312,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
                         if constrained:
                             force = plane_force(
                                 planes, plane, scratch.pressure[slot * PLANES_A_NODE + i], scratch.position[slot],
-                                root, contact_stiffness(rods, strand, inertia), rods.slip[strand],
+                                root, rods.slip[strand],
                             )  # fmt: skip
                         report_out.reaction[plane] = wp.vec3d(force)
             report_out.contacts[strand] = contacts
