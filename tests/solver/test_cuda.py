@@ -12,7 +12,9 @@ import pytest
 import warp as wp
 
 import plait.solver
+from plait.solver.materials.laws import LAWS
 from plait.solver.strands.kernels import strand_kernels
+from plait.solver.tets.elements import element_kernels
 from plait.solver.warp_start import start_warp
 
 start_warp()
@@ -24,6 +26,8 @@ def kernels() -> Iterator[wp.Kernel]:
         yield from vars(importlib.import_module(found.name)).values()
     for real in (wp.float32, wp.float64):
         yield from vars(strand_kernels(real)).values()
+        for law in LAWS:
+            yield from vars(element_kernels(law, real)).values()
 
 
 MODULES = {kernel.module.name: kernel.module for kernel in kernels() if isinstance(kernel, wp.Kernel)}
