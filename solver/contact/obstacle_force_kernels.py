@@ -24,7 +24,7 @@ wp.set_module_options({"enable_backward": False})
 # A contact this many times as stiff as what it stops: less and it gives too far, more and the solve takes longer.
 STIFFER = wp.constant(wp.float64(10.0))
 # A plane left by more than this part of the distance to keep has let go.
-LEFT = wp.constant(wp.float64(1e-2))
+LEFT = wp.constant(wp.float64(0.1))
 
 
 @wp.func
@@ -114,15 +114,52 @@ def hold_forces(
     planes: ObstaclePlanes,
     inertia: wp.float64,
     x: wp.array(dtype=wp.vec3d),
+    change_out: wp.array(dtype=wp.float64),
 ):
-    """Holds the pressures and tractions that the active points' contacts have with the nodes at x; one an item."""
-    q = active[first + wp.tid()]
+    """Holds the forces that the active points' contacts have with the nodes at x; one an item.
+
+    change_out: by how much they were off, over the stiffness, as part of the distance to keep.
+    """
+    item = first + wp.tid()
+    q = active[item]
     y = point_at(points, q, x)
     held = stiffness_of(points, q, inertia)
+    change = ZERO
     for k in range(SLOTS):
         slot = q * SLOTS + k
         if planes.surface[slot] >= 0:
             one = push(planes, slot, planes.friction[slot] * planes.pressure[slot], held, y)
-            open = wp.dot(planes.normal[slot], y) - planes.offset[slot] > LEFT * points.reach[q]
-            planes.pressure[slot] = wp.where(open, ZERO, one.pressure)
-            planes.traction[slot] = wp.where(open, wp.vec3d(), one.traction)
+            change = wp.max(change, wp.abs(one.pressure - planes.pressure[slot]))
+            change = wp.max(change, wp.length(one.traction - planes.traction[slot]))
+            planes.pressure[slot] = one.pressure
+            planes.traction[slot] = one.traction
+    change_out[item] = change / (held * points.reach[q])
+
+
+@wp.kernel
+def leave_planes(
+    first: int,
+    active: wp.array(dtype=wp.int32),
+    points: SkinPoints,
+    x: wp.array(dtype=wp.vec3d),
+    planes: ObstaclePlanes,
+    deepest_out: wp.array(dtype=wp.float64),
+):
+    """Notes how the active points leave their planes at a substep's end; what has come off them has let go.
+
+    deepest_out: [m] how deep each is under a surface; one an item.
+    """
+    item = first + wp.tid()
+    q = active[item]
+    y = point_at(points, q, x)
+    deepest = ZERO
+    for k in range(SLOTS):
+        slot = q * SLOTS + k
+        if planes.surface[slot] >= 0:
+            height = wp.dot(planes.normal[slot], y)
+            planes.depth[slot] = wp.max(planes.ground[slot] - height, ZERO)
+            deepest = wp.max(deepest, planes.depth[slot])
+            if height - planes.offset[slot] > LEFT * points.reach[q]:
+                planes.pressure[slot] = ZERO
+                planes.traction[slot] = wp.vec3d()
+    deepest_out[item] = deepest

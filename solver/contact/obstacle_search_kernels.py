@@ -7,13 +7,14 @@ import warp as wp
 from plait.solver.contact.geometry_kernels import (
     ONE,
     ZERO,
+    Triangle,
     closest_point,
     get_triangle,
     interpolate,
     triangle_frame,
     unit_normal,
 )
-from plait.solver.contact.meeting_kernels import TWO, Bodies, Near, box_gap, is_rim, to_float
+from plait.solver.contact.meeting_kernels import HALF, TWO, Bodies, Near, box_gap, is_rim, to_float
 from plait.solver.contact.search_kernels import Contact, Seen, find_contact
 
 wp.set_module_options({"enable_backward": False})
@@ -22,8 +23,6 @@ wp.set_module_options({"enable_backward": False})
 SLOTS = wp.constant(3)
 # Planes of one surface whose normals differ less (cosine) are the same contact, refined.
 SAME = wp.constant(wp.float64(0.9995))
-# What is nearest to a point that went under faces the way it came (cosine), or is the far side of something thin.
-FACES = wp.constant(wp.float64(0.3))
 # A plane found anew carries on the forces of one of the same surface that differs less (cosine).
 ALIKE = wp.constant(wp.float64(0.7))
 
@@ -32,13 +31,15 @@ ALIKE = wp.constant(wp.float64(0.7))
 class ObstaclePlanes:
     """Half-spaces that points must stay in, plane k of point q at q * SLOTS + k; world frame.
 
-    Those of the substep before tell where a point belongs: on the side that `normal` points to, of surface
-    `surface`, even where it has gone under, or through something thinner than that.
+    Those of the substep before tell where a point belongs that went under: `depth` along `normal`, however thin
+    the surface is there.
     """
 
     surface: wp.array(dtype=wp.int32)  # index into Scene.surfaces; -1: no plane
     normal: wp.array(dtype=wp.vec3d)  # unit, out of the surface
     offset: wp.array(dtype=wp.float64)  # [m] the point keeps normal . x >= offset
+    ground: wp.array(dtype=wp.float64)  # [m] normal . x of the surface itself
+    depth: wp.array(dtype=wp.float64)  # [m] how far under that the point was left; not negative
     anchor: wp.array(dtype=wp.vec3d)  # [m] where the point would be, had the surface carried it along
     friction: wp.array(dtype=wp.float64)  # Coulomb coefficient
     pressure: wp.array(dtype=wp.float64)  # [N] along the normal, at the substep's end
@@ -68,65 +69,71 @@ def point_at(points: SkinPoints, q: int, x: wp.array(dtype=wp.vec3d)) -> wp.vec3
 
 
 @wp.func
-def slot_of(planes: ObstaclePlanes, q: int, surface: int) -> int:
-    """The first plane of a surface that the point has, or -1."""
+def deepest_slot(planes: ObstaclePlanes, q: int, surface: int) -> int:
+    """The plane of a surface that the point was left furthest under, or kept; -1 for none."""
+    found = wp.int32(-1)
+    deepest = -ONE
     for k in range(SLOTS):
-        if planes.surface[q * SLOTS + k] == surface:
-            return q * SLOTS + k
-    return -1
+        at = q * SLOTS + k
+        if planes.surface[at] == surface and planes.depth[at] > deepest:
+            deepest = planes.depth[at]
+            found = at
+    return found
 
 
 @wp.func
-def carried_by(before: wp.vec3d, after: wp.vec3d, turn: wp.mat33d, slack: wp.float64) -> Near:
+def carried_by(before: Triangle, after: Triangle, weights: wp.vec3d, deviation: wp.float64) -> Near:
+    """The motion of a place on a triangle; without a turn where that has no area."""
     near = Near()
     near.meets = True
-    near.centre = before
-    near.shift = after - before
-    near.rotation = turn
-    near.deviation = slack
+    near.centre = interpolate(before, weights)
+    near.shift = interpolate(after, weights) - near.centre
+    near.rotation = wp.identity(n=3, dtype=wp.float64)
+    normal_before = unit_normal(before)
+    normal_after = unit_normal(after)
+    if wp.length_sq(normal_before) > ZERO and wp.length_sq(normal_after) > ZERO:
+        near.rotation = triangle_frame(after, normal_after) * wp.transpose(triangle_frame(before, normal_before))
+    near.deviation = deviation
     return near
-
-
-@wp.func
-def turn_of(before: wp.vec3d, after: wp.vec3d, start: wp.mat33d, end: wp.mat33d) -> wp.mat33d:
-    """How a triangle turned, from its normals and frames at both ends; not at all where it has no area."""
-    if wp.length_sq(before) > ZERO and wp.length_sq(after) > ZERO:
-        return end * wp.transpose(start)
-    return wp.identity(n=3, dtype=wp.float64)
 
 
 @wp.func
 def led_back(
     bodies: Bodies,
     body: int,
-    triangle: int,
-    foot: wp.vec3d,
     start: wp.vec3d,
     end: wp.vec3d,
     out: wp.vec3d,
+    depth: wp.float64,
     full: wp.float64,
     exit_distance: wp.float64,
 ) -> Contact:
-    """The contact of a point that starts on the wrong side of `triangle`, which it went through at `foot`.
+    """The contact of a point that was left `depth` [m] under a surface, `out` of which it belongs.
 
-    out: the side it belongs on.  The triangle's plane, where the surface carries that place, leads it back.
+    The surface that it went through, wherever that is carried, leads it back. Not found where there is none: the
+    point has come by its rim.
     """
     contact = Contact()
-    before = get_triangle(bodies.triangles, bodies.points_start, triangle)
-    after = get_triangle(bodies.triangles, bodies.points_end, triangle)
+    foot = start + depth * out
+    query = wp.mesh_query_point_no_sign(bodies.mesh_start[body], to_float(foot), float(full + HALF * depth))
+    if not query.result:
+        return contact
+    index = bodies.first_triangle[body] + query.face
+    before = get_triangle(bodies.triangles, bodies.points_start, index)
+    after = get_triangle(bodies.triangles, bodies.points_end, index)
     normal_before = unit_normal(before)
     normal_after = unit_normal(after)
     if wp.length_sq(normal_before) == ZERO or wp.length_sq(normal_after) == ZERO:
         return contact
+    place = closest_point(before, foot)
+    foot = interpolate(before, place.weights)
     turn = triangle_frame(after, normal_after) * wp.transpose(triangle_frame(before, normal_before))
-    place = interpolate(after, closest_point(before, foot).weights)
     contact.found = True
-    contact.normal = wp.where(wp.dot(out, normal_before) < ZERO, -normal_after, normal_after)
-    contact.point = place
-    contact.anchor = place + turn * (start - foot)
-    deep = wp.dot(contact.normal, place - contact.anchor)
-    contact.target = wp.min(full, exit_distance - deep)
-    contact.depth = wp.max(wp.dot(contact.normal, place - end), ZERO)
+    contact.point = interpolate(after, place.weights)
+    contact.normal = turn * out
+    contact.anchor = contact.point + turn * (start - foot)
+    contact.target = wp.min(full, exit_distance - wp.dot(contact.normal, contact.point - contact.anchor))
+    contact.depth = wp.max(wp.dot(contact.normal, contact.point - end), ZERO)
     return contact
 
 
@@ -138,49 +145,28 @@ def meet_surface(
     end: wp.vec3d,
     full: wp.float64,
     travel: wp.float64,
-    belongs: bool,
-    out: wp.vec3d,
+    known: bool,
     exit_distance: wp.float64,
 ) -> Contact:
     """The plane that one surface sets a point that goes from `start` (start pose) to `end` (end pose), if any.
 
-    travel: [m] no point of the surface moves further.  belongs: the point was known to belong on the side `out`.
-    A point that starts inside a solid without having been seen outside has no contact with it.
+    travel: [m] no point of the surface moves further.  known: the point was seen outside before. One that starts
+    inside a solid without that has no contact with it.
     """
-    contact = Contact()
-    solid = bodies.solid[body] == 1
     search = TWO * full + wp.length(end - start) + TWO * travel
     query = wp.mesh_query_point_sign_normal(bodies.mesh_start[body], to_float(start), float(search))
     if not query.result:
-        return contact
+        return Contact()
     seen = Seen()
     seen.triangle = bodies.first_triangle[body] + query.face
-    before = get_triangle(bodies.triangles, bodies.points_start, seen.triangle)
-    nearest = closest_point(before, start)
-    foot = interpolate(before, nearest.weights)
-    rim = is_rim(bodies, seen.triangle, nearest.feature)
     seen.inside = query.sign < 0.0
-    normal = unit_normal(before)
-    if not rim:
-        if solid and seen.inside:
-            if not belongs:
-                return contact
-            if wp.dot(normal, out) < FACES:
-                # The far side of something thin: the way back is the way it came.
-                ray = wp.mesh_query_ray(bodies.mesh_start[body], to_float(start), to_float(out), float(search))
-                if not ray.result:
-                    return contact
-                through = bodies.first_triangle[body] + ray.face
-                foot = start + wp.float64(ray.t) * out
-                return led_back(bodies, body, through, foot, start, end, out, full, exit_distance)
-        if not solid and belongs:
-            side = wp.where(seen.inside, -ONE, ONE)
-            if side * wp.dot(normal, out) < ZERO:
-                return led_back(bodies, body, seen.triangle, foot, start, end, out, full, exit_distance)
+    before = get_triangle(bodies.triangles, bodies.points_start, seen.triangle)
     after = get_triangle(bodies.triangles, bodies.points_end, seen.triangle)
-    normal_after = unit_normal(after)
-    turn = turn_of(normal, normal_after, triangle_frame(before, normal), triangle_frame(after, normal_after))
-    near = carried_by(foot, interpolate(after, nearest.weights), turn, TWO * travel)
+    nearest = closest_point(before, start)
+    solid = bodies.solid[body] == 1
+    if solid and seen.inside and not known and not is_rim(bodies, seen.triangle, nearest.feature):
+        return Contact()
+    near = carried_by(before, after, nearest.weights, TWO * travel)
     near.keeps_out = solid
     return find_contact(bodies, body, near, seen, start, end, full - bodies.thickness[body], full, exit_distance)
 
@@ -228,6 +214,7 @@ def put(
     planes.surface[slot] = surface
     planes.normal[slot] = contact.normal
     planes.offset[slot] = offset
+    planes.ground[slot] = offset - contact.target
     planes.anchor[slot] = contact.anchor
     planes.friction[slot] = friction
     return slot
@@ -292,15 +279,11 @@ def find_obstacle_planes(
     exit_distance: wp.float64,
     before: ObstaclePlanes,
     planes: ObstaclePlanes,
-    depth_out: wp.array(dtype=wp.float64),
 ):
     """Planes of every point, one an item; `anew` forgets those already found in this substep.
 
-    start, end: (node_count,) [m].  before: of the substep before.
-    depth_out: [m] how deep the point lies under surfaces at `end`.
-    """
+    start, end: (node_count,) [m].  before: of the substep before."""
     q = first + wp.tid()
-    depth_out[q] = ZERO
     if anew == 1:
         for k in range(SLOTS):
             planes.surface[q * SLOTS + k] = -1
@@ -308,20 +291,21 @@ def find_obstacle_planes(
         return
     x = point_at(points, q, start)
     y = point_at(points, q, end)
-    deepest = ZERO
     for body in range(bodies.count):
         full = points.reach[q] + bodies.thickness[body]
         if box_gap(wp.min(x, y), wp.max(x, y), bodies.lower[body], bodies.upper[body]) <= TWO * full:
             surface = bodies.surface[body]
-            known = slot_of(before, q, surface)
-            out = wp.vec3d()
+            known = deepest_slot(before, q, surface)
+            contact = Contact()
             if known >= 0:
-                out = before.normal[known]
-            contact = meet_surface(bodies, body, x, y, full, travel[body], known >= 0, out, exit_distance)
+                if before.depth[known] > ZERO:
+                    contact = led_back(
+                        bodies, body, x, y, before.normal[known], before.depth[known], full, exit_distance
+                    )
+            if not contact.found:
+                contact = meet_surface(bodies, body, x, y, full, travel[body], known >= 0, exit_distance)
             if contact.found:
-                deepest = wp.max(deepest, contact.depth)
                 friction = pair_friction(points, q, bodies, body)
                 slot = put(planes, q, surface, contact, y, friction, wp.float64(0.1) * full)
                 if slot >= 0 and anew == 1:
                     carry_on(before, q, planes, slot)
-    depth_out[q] = deepest

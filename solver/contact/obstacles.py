@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import warp as wp
 from plait.solver.contact.bodies import encloses_volume, rim_features
 from plait.solver.contact.collision_particles import CollisionParticles
 from plait.solver.contact.meeting_kernels import Bodies
-from plait.solver.contact.obstacle_force_kernels import evaluate_pushes, hold_forces
+from plait.solver.contact.obstacle_force_kernels import evaluate_pushes, hold_forces, leave_planes
 from plait.solver.contact.obstacle_search_kernels import (
     SLOTS,
     ObstaclePlanes,
@@ -22,19 +23,25 @@ from plait.solver.kinematics.colliders import Collider
 from plait.solver.model import Interval, Model
 from plait.solver.state import State
 
+# Solves in a substep, at most; fewer when no force changes by more than would move its plane by this part of the
+# distance kept from a surface.
+MAX_ROUNDS = 8
+LASTING = 0.05
 # Distance kept from a surface, as part of a tet's edge.
 REACH = 0.02
 PLANE_ARRAYS = {
     "surface": wp.int32,
     "normal": wp.vec3d,
     "offset": wp.float64,
+    "ground": wp.float64,
+    "depth": wp.float64,
     "anchor": wp.vec3d,
     "friction": wp.float64,
     "pressure": wp.float64,
     "traction": wp.vec3d,
 }
 # What the next substep needs to know of this one's planes.
-KEPT = ("surface", "normal", "pressure", "traction")
+KEPT = ("surface", "normal", "depth", "pressure", "traction")
 
 
 class Obstacles:
@@ -43,16 +50,13 @@ class Obstacles:
     In each substep, after a first guess of where the bodies go:
 
         if obstacles.begin_substep(substep, start, guess):     planes; False: nothing in reach
-            for each pass:
-                ...solve the bodies, with `evaluate`...
-                obstacles.hold(position)                       the forces there
-                obstacles.examine(start, position)             planes met on the way there
-            obstacles.end_substep()                            if the substep stands
+            obstacles.alternate(start, position, inertia, solve)   with forces; `solve` asks `evaluate` for them
+            obstacles.end_substep(position)                    if the substep stands
 
     Distances are float64; trees in float32 find the triangles. A point belongs on the side of a surface where it
     was last seen outside; what starts inside a solid meets it only after it has come out.
 
-    State arrays: obstacles/surface, normal, pressure, traction of each point's planes.
+    State arrays: obstacles/surface, normal, depth, pressure, traction of each point's planes.
     """
 
     def __init__(self, model: Model, state: State, particles: CollisionParticles) -> None:
@@ -65,7 +69,6 @@ class Obstacles:
             state.arrays[f"obstacles/{name}"] = getattr(self._before, name)
         device = model.launcher.device
         count = particles.count
-        self._depth = wp.zeros(count, dtype=wp.float64, device=device)
         self.energy = wp.zeros(count, dtype=wp.float64, device=device)
         self.force = wp.zeros(count, dtype=wp.vec3d, device=device)
         self.stiffness = wp.zeros(count, dtype=wp.mat33d, device=device)
@@ -89,9 +92,25 @@ class Obstacles:
         self._examine(start, position, anew=True)
         return True
 
-    def examine(self, start: wp.array, position: wp.array) -> None:
-        """Adds the planes that are met between `start` and a better guess, `position`."""
-        self._examine(start, position, anew=False)
+    def alternate(self, start: wp.array, position: wp.array, inertia: float, solve: Callable[[], None]) -> int:
+        """Solves, holds the forces found, looks for planes met on the way, again until the forces last.
+
+        solve: moves the bodies from `position`, in place, to where the forces of `evaluate` take them.
+        inertia: as for `evaluate`. Returns how often it solved, none where no plane was found.
+        """
+        for rounds in range(MAX_ROUNDS):
+            if not len(self.active):
+                return rounds
+            solve()
+            change = wp.empty(len(self.active), dtype=wp.float64, device=self._launcher.device)
+            inputs = [self.active, self._points, self._planes, inertia, position]
+            self._launcher.launch(hold_forces, len(self.active), inputs, [change], work_per_item=20)
+            lasts = float(change.numpy().max()) < LASTING
+            planes = len(self.active)
+            self._examine(start, position, anew=False)
+            if lasts and len(self.active) == planes:
+                return rounds + 1
+        return MAX_ROUNDS
 
     def evaluate(self, position: wp.array, inertia: float) -> None:
         """Brings `energy` [J], `force` [N] and `stiffness` [N/m] of the particles in `active` up to `position`.
@@ -102,21 +121,15 @@ class Obstacles:
         outputs = [self.energy, self.force, self.stiffness]
         self._launcher.launch(evaluate_pushes, len(self.active), inputs, outputs, work_per_item=20)
 
-    def hold(self, position: wp.array, inertia: float) -> None:
-        """Takes the forces at `position` for those that the next solve starts from."""
-        inputs = [self.active, self._points, self._planes, inertia, position]
-        self._launcher.launch(hold_forces, len(self.active), inputs, work_per_item=20)
-
-    def end_substep(self) -> None:
-        """Keeps planes and forces for the next substep."""
+    def end_substep(self, position: wp.array) -> float:
+        """Keeps planes and forces for the next substep; how deep [m] a particle has been left under a surface."""
+        deepest = wp.zeros(len(self.active), dtype=wp.float64, device=self._launcher.device)
+        inputs = [self.active, self._points, position]
+        self._launcher.launch(leave_planes, len(self.active), inputs, [self._planes, deepest], work_per_item=10)
         for name in KEPT:
             wp.copy(getattr(self._before, name), getattr(self._planes, name))
         self._tracked = True
-
-    @property
-    def depth(self) -> wp.array:
-        """(count,) float64 [m]: how deep each particle lay under surfaces where it was last examined."""
-        return self._depth
+        return float(deepest.numpy().max(initial=0.0))
 
     # -- set-up --------------------------------------------------------------------------------------------
 
@@ -209,7 +222,7 @@ class Obstacles:
 
     def _examine(self, start: wp.array, position: wp.array, *, anew: bool) -> None:
         inputs = [int(anew), self._surfaces, self._travel, self._points, start, position, self._exit_distance]
-        outputs = [self._before, self._planes, self._depth]
+        outputs = [self._before, self._planes]
         self._launcher.launch(find_obstacle_planes, self._particles.count, inputs, outputs, work_per_item=40)
         has = (self._planes.surface.numpy().reshape(-1, int(SLOTS)) >= 0).any(axis=1)
         self.active = wp.array(np.flatnonzero(has), dtype=wp.int32, device=self._launcher.device)
