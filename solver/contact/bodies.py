@@ -35,7 +35,7 @@ class BodyTable:
             triangles = self.triangles(collider)
             rims.append(rim_features(triangles - collider.first_point))
             centres = collider.surface.points[triangles - collider.first_point].mean(axis=1)
-            groups = _group_triangles(centres)
+            groups = group_triangles(centres)
             vertices += [np.unique(triangles[group]) for group in groups]
             total += len(groups)
             first_group.append(total)
@@ -120,7 +120,7 @@ class BodyTable:
         self.launcher.launch(bound_groups, len(active), inputs, work_per_item=GROUP_SIZE)
 
 
-def _group_triangles(centres: np.ndarray) -> list[np.ndarray]:
+def group_triangles(centres: np.ndarray) -> list[np.ndarray]:
     """Triangles split at the median of the longest side of their box, again and again."""
     size = max(GROUP_SIZE, -(-len(centres) // MAX_GROUPS))
     groups, waiting = [], [np.arange(len(centres))]

@@ -9,6 +9,7 @@ import warp as wp
 
 from plait.solver.contact.body_contact_kernels import take_up
 from plait.solver.contact.collision_particles import CollisionParticles
+from plait.solver.contact.skin_contact import SkinContact
 from plait.solver.model import Interval, Model
 from plait.solver.state import State
 from plait.solver.tets.layout import TetLayout
@@ -38,7 +39,7 @@ class BodyContact:
 
     impulse: (node_count,) vec3d [kg m/s], what contact has given each node so far in this substep.
     cell_size: [m] of the grid; particles on the skins lie at most so far apart.
-    particles: those.
+    particles: those.  inverse_mass: (node_count,) float64 [1/kg], zero for pinned nodes.
     """
 
     def __init__(self, model: Model, state: State, layout: TetLayout) -> None:
@@ -48,9 +49,12 @@ class BodyContact:
         self.particles = CollisionParticles(model.scene, layout, self.cell_size, model.launcher)
         device = model.launcher.device
         self._mass = wp.array(layout.mass, dtype=wp.float64, device=device)
+        free = ~layout.pinned & (layout.mass > 0.0)
+        inverse_mass = np.divide(1.0, layout.mass, out=np.zeros(layout.node_count), where=free)
+        self.inverse_mass = wp.array(inverse_mass, dtype=wp.float64, device=device)
         self.impulse = wp.zeros(layout.node_count, dtype=wp.vec3d, device=device)
         self._velocity = wp.zeros_like(self.impulse)
-        self.parts: list[ContactPart] = []
+        self.parts: list[ContactPart] = [SkinContact(model, state, self.particles, self.inverse_mass)]
         self._active: list[ContactPart] = []
 
     def begin_substep(self, substep: Interval, start: wp.array, position: wp.array) -> bool:

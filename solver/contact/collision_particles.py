@@ -25,9 +25,9 @@ class CollisionParticles:
     On the host, constant:
     body: (count,) int32.  first: (body_count + 1,) int32.  rest: (count, 3) float64 [m], each body's rest space.
     rest_normal: (count, 3) float64, outward, zero for points of no triangle.  area: (count,) float64 [m2].
-    nodes: (count, 4) int32, numbered over all bodies.  weights: (count, 4) float64.
+    tet: (count,) int32 into `layout.tets`, whose row there is `nodes`, (count, 4).  weights: (count, 4) float64.
     mass: (count,) float64 [kg], see `fit_masses`.  triangles: (triangle_count, 3) int32, of all skins.
-    triangle_body: (triangle_count,) int32.
+    triangle_body: (triangle_count,) int32.  first_triangle_of_particle: (count,) int32, one it lies on, -1: none.
     On the device:
     node_index, weight: `nodes` (vec4i) and `weights` (vec4d).  triangle: `triangles` (vec3i).
     position [m], velocity [m/s], normal: (count,) vec3d, world, as last evaluated.
@@ -41,7 +41,8 @@ class CollisionParticles:
         self.first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
         self.count = int(self.first[-1])
         self.body = np.repeat(np.arange(len(counts)), counts).astype(np.int32)
-        self.rest, self.nodes, self.weights = (np.concatenate([part[k] for part in parts]) for k in (1, 2, 3))
+        self.rest, self.tet, self.weights = (np.concatenate([part[k] for part in parts]) for k in (1, 2, 3))
+        self.nodes = layout.tets[self.tet]
         self.area = np.concatenate([lattice.area for lattice in lattices])
         skins = [np.asarray(scene.surfaces[body.surface].triangles).reshape(-1, 3) for body in layout.bodies]
         self.triangles = np.concatenate([skin + self.first[b] for b, skin in enumerate(skins)]).astype(np.int32)
@@ -56,9 +57,12 @@ class CollisionParticles:
         self.weight = wp.array(self.weights, dtype=wp.vec4d, device=device)
         self.triangle = wp.array(self.triangles, dtype=wp.vec3i, device=device)
         lies_on = np.concatenate([lattice.triangles + first_triangle[b] for b, lattice in enumerate(lattices)])
-        on_counts = np.concatenate([np.diff(lattice.triangle_offsets) for lattice in lattices])
+        on_offsets = _offsets(np.concatenate([np.diff(lattice.triangle_offsets) for lattice in lattices]))
+        self.first_triangle_of_particle = np.full(self.count, -1, dtype=np.int32)
+        lies = on_offsets[1:] > on_offsets[:-1]
+        self.first_triangle_of_particle[lies] = lies_on[on_offsets[:-1][lies]]
         self._lies_on = wp.array(lies_on, dtype=wp.int32, device=device)
-        self._lies_on_offsets = wp.array(_offsets(on_counts), dtype=wp.int32, device=device)
+        self._lies_on_offsets = wp.array(on_offsets, dtype=wp.int32, device=device)
         # The adjoint: particles of each node, in ascending order.
         particle, slot = np.nonzero(self.weights)
         node = self.nodes[particle, slot]
@@ -151,7 +155,7 @@ def _offsets(counts: np.ndarray) -> np.ndarray:
 def _body_particles(
     scene: Scene, layout: TetLayout, index: int, spacing: float
 ) -> tuple[SkinLattice, np.ndarray, np.ndarray, np.ndarray]:
-    """One body's lattice, rest points (n, 3), nodes (n, 4) over all bodies, and weights (n, 4)."""
+    """One body's lattice, rest points (n, 3), tets (n,) among those of all bodies, and weights (n, 4)."""
     body = layout.bodies[index]
     points = np.asarray(scene.surfaces[body.surface].points, dtype=np.float64)
     lattice = lay_lattice(points, scene.surfaces[body.surface].triangles, spacing)
@@ -162,4 +166,4 @@ def _body_particles(
     weights = np.concatenate([np.asarray(body.embedding.barycentric, dtype=np.float64), weights])
     # What is zero but for rounding is zero: a point on a face has no part in the node opposite.
     weights = np.where(np.abs(weights) < 1e-12, 0.0, weights)
-    return lattice, rest, tets[tet].astype(np.int32) + layout.first_node[index], weights
+    return lattice, rest, (tet + layout.first_tet[index]).astype(np.int32), weights

@@ -1,0 +1,159 @@
+"""Contacts as sparse rows over nodes, solved by impulses: projected Jacobi sweeps that conserve momentum.
+
+Row c stands for two points that may touch: u_c = sum_k w_ck v_k is how fast they part, x_c = sum_k w_ck x_k where
+one lies from the other. Weights of the one sum to 1, of the other to -1, so an impulse J_c on the first and -J_c
+on the second is sum_c w_ck J_c on node k: the linear momentum of the whole never changes.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from plait.solver.contact.geometry_kernels import ZERO
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Rows:
+    """One row a contact, and the same by nodes; node n of the list is nodes[n] of all."""
+
+    offsets: wp.array(dtype=wp.int32)  # (row_count + 1,) into node, weight
+    node: wp.array(dtype=wp.int32)
+    weight: wp.array(dtype=wp.float64)
+    normal: wp.array(dtype=wp.vec3d)  # the direction in which the points part
+    target: wp.array(dtype=wp.float64)  # [m] gap to keep
+    friction: wp.array(dtype=wp.float64)  # Coulomb coefficient
+    restitution: wp.array(dtype=wp.float64)
+    share: wp.array(dtype=wp.float64)  # [kg] what each row claims of its nodes' masses, in proportion
+    nodes: wp.array(dtype=wp.int32)  # (touched_count,) the nodes that some row acts on
+    node_offsets: wp.array(dtype=wp.int32)  # (touched_count + 1,) into node_row, node_weight
+    node_row: wp.array(dtype=wp.int32)
+    node_weight: wp.array(dtype=wp.float64)
+    inverse_mass: wp.array(dtype=wp.float64)  # (node_count,) [1/kg], zero for what is held
+
+
+@wp.struct
+class RowState:
+    """What sweeps change; one entry a row."""
+
+    compliance: wp.array(dtype=wp.float64)  # [1/kg] velocity that a unit impulse gives, with all rows at once
+    gap: wp.array(dtype=wp.float64)  # [m] where the pass began
+    velocity: wp.array(dtype=wp.float64)  # [m/s] along the normal, where the pass began
+    approach: wp.array(dtype=wp.float64)  # [m/s] along the normal, where the first pass began
+    impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] in this substep so far
+    change: wp.array(dtype=wp.vec3d)  # [kg m/s] of the last sweep
+
+
+@wp.func
+def along(rows: Rows, c: int, of_nodes: wp.array(dtype=wp.vec3d)) -> wp.vec3d:
+    total = wp.vec3d()
+    for k in range(rows.offsets[c], rows.offsets[c + 1]):
+        total += rows.weight[k] * of_nodes[rows.node[k]]
+    return total
+
+
+@wp.kernel
+def claim_nodes(first: int, rows: Rows, claim_out: wp.array(dtype=wp.float64)):
+    """sum_c |w_ck| share_c / m_k at each touched node; one an item."""
+    n = first + wp.tid()
+    total = ZERO
+    for k in range(rows.node_offsets[n], rows.node_offsets[n + 1]):
+        total += wp.abs(rows.node_weight[k]) * rows.share[rows.node_row[k]]
+    node = rows.nodes[n]
+    claim_out[node] = total * rows.inverse_mass[node]
+
+
+@wp.kernel
+def weigh_rows(first: int, rows: Rows, claim: wp.array(dtype=wp.float64), state: RowState):
+    """The compliance that makes Jacobi sweeps converge whatever touches whatever; one row an item.
+
+    The matrix A_cd = sum_k w_ck w_dk / m_k has no eigenvalue above one after division by
+    sum_d |A_cd| s_d / s_c <= sum_k |w_ck| claim_k / s_c, for any shares s > 0 (Gershgorin's circles).
+    """
+    c = first + wp.tid()
+    total = ZERO
+    for k in range(rows.offsets[c], rows.offsets[c + 1]):
+        total += wp.abs(rows.weight[k]) * claim[rows.node[k]]
+    state.compliance[c] = total / rows.share[c]
+
+
+@wp.kernel
+def begin_rows(
+    first: int,
+    first_pass: int,
+    rows: Rows,
+    position: wp.array(dtype=wp.vec3d),
+    velocity: wp.array(dtype=wp.vec3d),
+    state: RowState,
+):
+    """Gap and velocity of each row where an elastic solve took it; one row an item."""
+    c = first + wp.tid()
+    n = rows.normal[c]
+    u = wp.dot(n, along(rows, c, velocity))
+    state.gap[c] = wp.dot(n, along(rows, c, position))
+    state.velocity[c] = u
+    if first_pass == 1:
+        state.impulse[c] = wp.vec3d()
+        state.approach[c] = u
+
+
+@wp.kernel
+def sweep_rows(
+    first: int,
+    rows: Rows,
+    velocity: wp.array(dtype=wp.vec3d),
+    displacement_per_velocity: wp.float64,
+    state: RowState,
+):
+    """The impulse that closes a row's gap to its target and not beyond, with Coulomb friction; one row an item.
+
+    The total since the substep's start never pulls, and its tangential part, one vector that acts on both sides
+    with opposite signs, is at most friction times the normal part.
+    """
+    c = first + wp.tid()
+    n = rows.normal[c]
+    u = along(rows, c, velocity)
+    un = wp.dot(n, u)
+    lack = (rows.target[c] - state.gap[c]) / displacement_per_velocity - (un - state.velocity[c])
+    if rows.target[c] > state.gap[c] and rows.restitution[c] > ZERO:
+        lack = wp.max(lack, -rows.restitution[c] * state.approach[c] - un)
+    before = state.impulse[c]
+    normal_before = wp.dot(n, before)
+    normal_after = wp.max(normal_before + lack / state.compliance[c], ZERO)
+    tangential = before - normal_before * n - (u - un * n) / state.compliance[c]
+    most = rows.friction[c] * normal_after
+    length = wp.length(tangential)
+    if length > most:
+        tangential = tangential * (most / length)
+    after = normal_after * n + tangential
+    state.impulse[c] = after
+    state.change[c] = after - before
+
+
+@wp.kernel
+def spread_impulses(first: int, rows: Rows, change: wp.array(dtype=wp.vec3d), velocity: wp.array(dtype=wp.vec3d)):
+    """v_k += sum_c w_ck J_c / m_k; one touched node an item, its rows in fixed order."""
+    n = first + wp.tid()
+    total = wp.vec3d()
+    for k in range(rows.node_offsets[n], rows.node_offsets[n + 1]):
+        total += rows.node_weight[k] * change[rows.node_row[k]]
+    node = rows.nodes[n]
+    velocity[node] = velocity[node] + rows.inverse_mass[node] * total
+
+
+@wp.kernel
+def part_rows(
+    first: int,
+    rows: Rows,
+    wanted: wp.array(dtype=wp.float64),
+    factor: wp.float64,
+    position: wp.array(dtype=wp.vec3d),
+    state: RowState,
+):
+    """What moves a row towards the gap it wants by `factor` of what it lacks, times mass; one row an item."""
+    c = first + wp.tid()
+    n = rows.normal[c]
+    gap = wp.dot(n, along(rows, c, position))
+    state.gap[c] = gap
+    state.change[c] = wp.max(wanted[c] - gap, ZERO) * factor / state.compliance[c] * n

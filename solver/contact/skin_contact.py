@@ -1,0 +1,215 @@
+"""Elastic bodies against each other and against themselves: particles of a skin against triangles of skins."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from plait.solver.contact.collision_particles import CollisionParticles
+from plait.solver.contact.contact_rows import ContactRows, Contacts
+from plait.solver.contact.patches import SkinPatches
+from plait.solver.contact.skin_search_kernels import SLOTS, Skins, Touching, find_places
+from plait.solver.model import Interval, Model
+from plait.solver.state import State
+
+# [cells] Gap kept between skins, beyond which they are free; and how far ahead contact looks beyond what moves.
+KEPT_GAP, LOOK_AHEAD = 0.02, 0.1
+# [cells] Nearer parts of a body touch only where they face each other at rest.
+APART_AT_REST = 3.0
+# Part of an overlap that the position pass takes away.
+PARTING = 0.25
+# Jacobi sweeps over the rows in each of the outer sweeps.
+INNER_SWEEPS = 4
+DEFAULT_FRICTION = 0.5
+
+
+class SkinContact:
+    """Contact of skins, as impulses between particles and the nearest points of triangles.
+
+    State array contact/skin_triangle: (particle_count * SLOTS,) int32, where each particle touched last.
+
+    too_fast: in this substep something that meets moves by more than the settings' `cfl` cells.
+    """
+
+    def __init__(self, model: Model, state: State, particles: CollisionParticles, inverse_mass: wp.array) -> None:
+        self._launcher, self._particles = model.launcher, particles
+        self._cell, self._cfl = particles.spacing, model.settings.grid.cfl
+        self._patches = SkinPatches(particles, APART_AT_REST * self._cell, model.launcher)
+        self._rows = ContactRows(inverse_mass, model.launcher)
+        bodies = particles.layout.bodies
+        told = [model.scene.surfaces[body.surface].friction for body in bodies]
+        self._friction = np.array([DEFAULT_FRICTION if f is None else f for f in told])
+        self._restitution = np.array([body.restitution for body in bodies])
+        kept = [model.scene.surfaces[body.surface].thickness for body in bodies]
+        self._thickness = np.array(kept)
+        self._skins = self._make_skins()
+        device, slots = model.launcher.device, particles.count * SLOTS
+        self._touching, self._before = _touching(slots, device), _touching(slots, device)
+        state.arrays["contact/skin_triangle"] = self._touching.triangle
+        self._end = wp.zeros_like(particles.position)
+        self.too_fast = False
+        self._begin_counts()
+
+    def _make_skins(self) -> Skins:
+        particles, device = self._particles, self._launcher.device
+
+        def hold(values: np.ndarray, dtype: type) -> wp.array:
+            return wp.array(values, dtype=dtype, device=device)
+
+        skins = Skins()
+        skins.triangles, skins.nodes = particles.triangle, particles.node_index
+        skins.triangle_body = hold(particles.triangle_body, wp.int32)
+        body_count = particles.layout.body_count
+        first = np.searchsorted(particles.triangle_body, np.arange(body_count + 1))
+        skins.first_triangle = hold(first, wp.int32)
+        welded = _weld(particles)
+        offsets, ring = _rings(welded, particles.triangles)
+        skins.welded, skins.ring_offsets, skins.ring = (hold(v, wp.int32) for v in (welded, offsets, ring))
+        skins.rest = hold(particles.rest, wp.vec3d)
+        skins.rest_normal = hold(particles.rest_normal, wp.vec3d)
+        skins.body = hold(particles.body, wp.int32)
+        skins.patch = self._patches.of_particle
+        skins.cell, skins.apart_at_rest = self._cell, APART_AT_REST * self._cell
+        # Built at rest, whenever the run starts, so that a resumed run finds the same.
+        self._query_points = hold(particles.rest, wp.vec3f)
+        self._meshes = []
+        for b in range(body_count):
+            own = slice(int(particles.first[b]), int(particles.first[b + 1]))
+            triangles = particles.triangles[first[b] : first[b + 1]] - own.start
+            self._meshes.append(wp.Mesh(self._query_points[own], hold(triangles.ravel(), wp.int32)))
+        skins.mesh = hold(np.array([mesh.id for mesh in self._meshes], dtype=np.uint64), wp.uint64)
+        return skins
+
+    # -- finding -------------------------------------------------------------------------------------------
+
+    def begin_substep(self, substep: Interval, start: wp.array, position: wp.array) -> bool:
+        """Finds the places that may touch; False, with nothing changed, if there are none."""
+        particles = self._particles
+        self.too_fast = False
+        particles.evaluate_positions(start)
+        particles.gather(position, self._end)
+        if not self._patches.come_near(particles.position, self._end, LOOK_AHEAD * self._cell):
+            return False
+        self._find()
+        found = np.flatnonzero(self._touching.triangle.numpy() >= 0)
+        if not len(found):
+            return False
+        contacts = self._contacts(found)
+        if contacts is None:
+            return False
+        self._rows.build(contacts)
+        self._wanted = wp.array(self._kept, dtype=wp.float64, device=self._launcher.device)
+        return True
+
+    def _find(self) -> None:
+        particles, skins = self._particles, self._skins
+        particles.evaluate_normals()
+        wp.utils.array_cast(particles.position, self._query_points)
+        for mesh in self._meshes:
+            mesh.refit()
+        wp.copy(self._before.triangle, self._touching.triangle)
+        inputs = [
+            particles.layout.body_count,
+            skins,
+            self._patches.patches,
+            self._patches.reach,
+            wp.float64(LOOK_AHEAD * self._cell),
+            particles.position,
+            particles.normal,
+            self._before,
+        ]
+        self._launcher.launch(find_places, particles.count, inputs, [self._touching], work_per_item=50)
+
+    def _contacts(self, found: np.ndarray) -> Contacts | None:
+        """Rows of the places found that may close within the substep."""
+        particles = self._particles
+        q = found // SLOTS
+        triangle = self._touching.triangle.numpy()[found]
+        weights, normal, gap = (getattr(self._touching, n).numpy()[found] for n in ("weights", "normal", "gap"))
+        corners = particles.triangles[triangle]
+        start, end = particles.position.numpy(), self._end.numpy()
+        moved = (end - start)[q] - np.einsum("ck,ckd->cd", weights, (end - start)[corners])
+        closing = gap + np.einsum("cd,cd->c", moved, normal)
+        a, b = particles.body[q], particles.triangle_body[triangle]
+        kept = self._thickness[a] + self._thickness[b] + KEPT_GAP * self._cell
+        self.too_fast = bool(((closing < kept) & (np.linalg.norm(moved, axis=1) > self._cfl * self._cell)).any())
+        near = closing < kept + LOOK_AHEAD * self._cell
+        if not near.any():
+            return None
+        q, corners, weights, normal, gap, a, b, kept = (
+            v[near] for v in (q, corners, weights, normal, gap, a, b, kept)
+        )
+        self._kept = kept
+        theirs = weights[:, :, None] * particles.weights[corners]
+        return Contacts(
+            np.concatenate([particles.nodes[q], particles.nodes[corners].reshape(len(q), -1)], axis=1),
+            np.concatenate([particles.weights[q], -theirs.reshape(len(q), -1)], axis=1),
+            normal,
+            np.minimum(gap, kept),
+            0.5 * (self._friction[a] + self._friction[b]),
+            np.maximum(self._restitution[a], self._restitution[b]),
+            particles.mass[q],
+        )
+
+    # -- solving -------------------------------------------------------------------------------------------
+
+    def begin_pass(self, position: wp.array, velocity: wp.array, displacement_per_velocity: float) -> None:
+        """Takes up where an elastic solve took the nodes."""
+        self._displacement_per_velocity = displacement_per_velocity
+        self._rows.begin_pass(position, velocity)
+
+    def sweep(self, velocity: wp.array) -> None:
+        """Changes the nodes' velocities [m/s] in place."""
+        for _ in range(INNER_SWEEPS):
+            self._rows.sweep(velocity, self._displacement_per_velocity)
+
+    def separate(self, position: wp.array) -> None:
+        """Takes away a part of what still overlaps; positions only."""
+        self._rows.part(position, self._wanted, PARTING)
+        self._count()
+
+    # -- reporting -----------------------------------------------------------------------------------------
+
+    def _begin_counts(self) -> None:
+        self._most, self._deepest = 0, 0.0
+
+    def _count(self) -> None:
+        self._most = max(self._most, self._rows.count)
+        self._deepest = max(self._deepest, -float(self._rows.gap.numpy().min()))
+
+    def end_frame(self) -> dict[str, Any]:
+        """The most contacts in a substep, and the deepest overlap [m] that one left."""
+        metrics = {"skin_contacts": self._most, "skin_overlap": self._deepest}
+        self._begin_counts()
+        return metrics
+
+
+def _touching(slots: int, device: wp.Device) -> Touching:
+    touching = Touching()
+    touching.triangle = wp.full(slots, -1, dtype=wp.int32, device=device)
+    touching.weights, touching.normal = (wp.zeros(slots, dtype=wp.vec3d, device=device) for _ in range(2))
+    touching.gap = wp.zeros(slots, dtype=wp.float64, device=device)
+    return touching
+
+
+def _weld(particles: CollisionParticles) -> np.ndarray:
+    """(count,) the first particle of the same body that lies in exactly the same place at rest."""
+    keyed = np.concatenate([particles.body[:, None], particles.rest], axis=1)
+    _, first, inverse = np.unique(keyed, axis=0, return_index=True, return_inverse=True)
+    return first[inverse.ravel()]
+
+
+def _rings(welded: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets (count + 1,) and the triangles around each particle's place, ascending; none but at corners."""
+    corner = welded[triangles].ravel()
+    owner = np.repeat(np.arange(len(triangles)), 3)
+    order = np.lexsort((owner, corner))
+    counts = np.bincount(corner, minlength=len(welded))
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    # A particle that is not the first of its place has the ring of that.
+    begin, lengths = offsets[:-1][welded], counts[welded]
+    all_offsets = np.concatenate([[0], np.cumsum(lengths)])
+    within = np.arange(all_offsets[-1]) - np.repeat(all_offsets[:-1], lengths)
+    return all_offsets, owner[order][np.repeat(begin, lengths) + within]
