@@ -7,7 +7,7 @@ import warp as wp
 
 from plait.solver.kinematics.deformer import Deformer
 from plait.solver.launch import Launcher
-from plait.solver.scene import Surface, TetBody
+from plait.solver.scene import Pose, Surface, TetBody
 
 
 class Targets:
@@ -42,9 +42,29 @@ class Targets:
             self._deformer.place(self._motion.pose(time), self.position, self._no_query_points)
             self._time = time
 
+    @property
+    def animated(self) -> bool:
+        return self._motion.animated
+
+    def moves(self, start: float, end: float) -> bool:
+        """Whether driven nodes are elsewhere at `end` [s] than at `start`."""
+        if self._deformer is None or not self._motion.animated:
+            return False
+        return not _same(self._motion.pose(start), self._motion.pose(end))
+
     def all_nodes(self, time: float) -> np.ndarray:
         """(node_count, 3) float64 [m], world: every node where the animation alone would take it at `time` [s]."""
         self._all = self._all or Deformer(self._nodes, self._launcher)
         points = wp.empty(self._all.count, dtype=wp.vec3d, device=self._launcher.device)
         self._all.place(self._motion.pose(time), points, self._no_query_points)
         return points.numpy().copy()
+
+
+def _same(one: Pose, other: Pose) -> bool:
+    if (one.points is None) != (other.points is None):
+        return False
+    if one.points is not None:
+        return np.array_equal(one.points, other.points)
+    return np.array_equal(one.joint_transforms, other.joint_transforms) and np.array_equal(
+        one.blend_weights, other.blend_weights
+    )

@@ -1,0 +1,197 @@
+"""One elastic body: its unknowns, and how it takes a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from plait.solver.diagnostics import Diverged
+from plait.solver.model import Interval, Model
+from plait.solver.tets.body_kernels import body_kernels
+from plait.solver.tets.integrators import Scheme
+from plait.solver.tets.layout import TetLayout
+from plait.solver.tets.newton import Evaluation, Newton
+from plait.solver.tets.targets import Targets
+
+# A body is at rest where, left alone for a time of REST_TIME [s], it would move by this part of a tet's edge.
+REST, REST_TIME = {wp.float32: 1e-4, wp.float64: 1e-9}, 1.0 / 24.0
+# A pinned node has jumped if it is further than this part of an edge, and of the way of an elastic wave, from
+# where its velocity would have taken it.
+JUMP, JUMP_WAVE = 0.5, 0.5
+HELD = ("position", "velocity", "position_before", "velocity_before", "external_impulse")
+
+
+@dataclass
+class Tally:
+    """What a frame's steps took."""
+
+    steps: int = 0
+    newton_iterations: int = 0
+    linear_iterations: int = 0
+    unconverged: int = 0
+    pops: int = 0
+
+
+class BodySolver:
+    """Advances body `index` of the layout. Of the stage's arrays, it touches those of its own nodes alone.
+
+    A step is `begin`, `solve` as often as contact wants it, and `finish`; `retract` undoes it.
+    """
+
+    def __init__(
+        self, model: Model, layout: TetLayout, index: int, motion: Any, asleep: wp.array, real: type
+    ) -> None:
+        """motion: struct `Motion` of `body_kernels`, of all nodes.  asleep: (1,) int32, part of the state."""
+        self._layout, self._nodes = layout, layout.nodes(index)
+        self._body, self._settings, self._launcher = layout.bodies[index], model.settings.flesh, model.launcher
+        self._motion, self._asleep = motion, asleep
+        self._kernels, device = body_kernels(real), model.launcher.device
+        self.targets = Targets(self._body, model.launcher)
+        self._driven = wp.array(self.targets.driven, dtype=wp.int32, device=device)
+        free = np.flatnonzero(~layout.pinned[self._nodes]).astype(np.int32) + self._nodes.start
+        self.newton = Newton(layout, index, free, motion.position, model.launcher, real) if len(free) else None
+        self._arrays = [getattr(motion, name)[self._nodes] for name in HELD]
+        self._kept = [wp.zeros_like(array) for array in self._arrays]
+        self._step = self._kernels.types.Step()
+        self._step.first_node = self._nodes.start
+        self._step.mass_damping = self._body.mass_damping
+        self._step.gravity = wp.vec3d(*model.scene.gravity)
+        mean_mass = float(layout.mass[free].mean()) if len(free) else 0.0
+        edge = float(layout.edge[index])
+        rest = REST[real] * edge / REST_TIME**2 * mean_mass * np.sqrt(len(free))
+        self._rest_residual = max(rest, self.newton.rounding) if len(free) else 0.0
+        young, density = np.max(self._body.youngs_modulus), np.mean(self._body.density)
+        self._edge, self._wave = edge, float(np.sqrt(young / density))
+        self.tally = Tally()
+
+    @property
+    def asleep(self) -> bool:
+        return bool(self._asleep.numpy()[0])
+
+    # -- a step ----------------------------------------------------------------------------------------------
+
+    def begin(self, substep: Interval, scheme: Scheme) -> None:
+        """Takes the present for the past, and pinned nodes to where the animation wants them."""
+        self._kept_asleep = self.asleep
+        self._skipped = self._kept_asleep and self._undisturbed(substep)
+        if not self._skipped:
+            self._begin(substep, scheme)
+
+    def _begin(self, substep: Interval, scheme: Scheme) -> None:
+        for kept, array in zip(self._kept, self._arrays, strict=True):
+            wp.copy(kept, array)
+        self._asleep.fill_(0)
+        self._time, self._reference = substep.end, None
+        self.targets.place(substep.end)
+        step = self._step
+        step.start, step.before, step.reach = scheme.start, scheme.before, scheme.reach
+        step.length, step.length_before = scheme.length, scheme.length_before
+        self._over_nodes(self._kernels.boost)
+        if self._jumped(substep.length):
+            self._carry(substep)
+        driven = [self._driven, self.targets.position, self._nodes.start]
+        self._launcher.launch(self._kernels.drive, len(self._driven), driven, [self._motion.goal])
+        self._over_nodes(self._kernels.begin)
+        self.tally.steps += 1
+
+    def solve(self) -> bool:
+        """The elastic step with the contact impulses so far; whether it converged."""
+        if self._skipped:
+            return True
+        converged = self.newton is None or self._minimise()
+        self._over_nodes(self._kernels.find_velocity)
+        return converged
+
+    def wake(self, substep: Interval, scheme: Scheme) -> None:
+        """Steps after all, for contact has touched a body that was skipped, and moved it since `begin`."""
+        touched = self._motion.contact_impulse[self._nodes].numpy().any()
+        if not (self._skipped and touched):
+            return
+        self._skipped = False
+        impulse = wp.clone(self._motion.contact_impulse[self._nodes])
+        wp.copy(self._motion.position[self._nodes], self._motion.position_before[self._nodes])
+        self._motion.velocity[self._nodes].zero_()
+        self._begin(substep, scheme)
+        wp.copy(self._motion.contact_impulse[self._nodes], impulse)
+
+    def finish(self) -> None:
+        """Makes what contact did part of the past."""
+        if not self._skipped:
+            self._over_nodes(self._kernels.absorb_contact)
+
+    def retract(self) -> None:
+        """All as it was before `begin`, bit for bit."""
+        if self._skipped:
+            return
+        for kept, array in zip(self._kept, self._arrays, strict=True):
+            wp.copy(array, kept)
+        self._asleep.fill_(int(self._kept_asleep))
+
+    def _over_nodes(self, kernel: wp.Kernel) -> None:
+        count = self._nodes.stop - self._nodes.start
+        self._launcher.launch(kernel, count, [self._step], [self._motion])
+
+    # -- the elastic solve -----------------------------------------------------------------------------------
+
+    def _minimise(self) -> bool:
+        newton, settings = self.newton, self._settings
+        inputs = [self._step, self._motion]
+        self._launcher.launch(self._kernels.aim, newton.rows.count, inputs, [newton.unknowns])
+        here = newton.evaluate()
+        if self._reference is None:
+            self._check_finite(here)
+            if here.residual <= self._rest_residual:
+                self._fall_asleep()
+                return True
+            self._reference = here.residual
+            here = newton.start_from(self._motion.predicted, here)
+        outcome = newton.minimise(here, self._reference, settings.tolerance, settings.max_iterations)
+        self.tally.newton_iterations += outcome.iterations
+        self.tally.linear_iterations += outcome.linear_iterations
+        self.tally.unconverged += not outcome.converged
+        return outcome.converged
+
+    def _check_finite(self, here: Evaluation) -> None:
+        if np.isfinite(here.residual):
+            return
+        bad = ~np.isfinite(self._motion.position.numpy()[self._nodes]).all(axis=1)
+        bad |= ~np.isfinite(self._motion.base.numpy()[self._nodes]).all(axis=1)
+        raise Diverged("position", self._layout.where(self._nodes.start + int(np.argmax(bad))), self._time)
+
+    # -- rest ------------------------------------------------------------------------------------------------
+
+    def _fall_asleep(self) -> None:
+        """Nothing would move: nothing does, and nothing is computed until something happens to the body."""
+        wp.copy(self._motion.base[self._nodes], self._motion.position[self._nodes])
+        self._motion.velocity_before[self._nodes].zero_()
+        self._asleep.fill_(1)
+
+    def _undisturbed(self, substep: Interval) -> bool:
+        """Whether nothing happens to the body in this step but what has happened all along."""
+        if self._motion.external_impulse[self._nodes].numpy().any():
+            return False
+        return not self.targets.moves(substep.start, substep.end)
+
+    # -- jumps of the animation ------------------------------------------------------------------------------
+
+    def _jumped(self, length: float) -> bool:
+        """Whether a pinned node goes further at once than flesh could follow."""
+        if not len(self._driven) or not self.targets.animated:
+            return False
+        nodes = self.targets.driven + self._nodes.start
+        expected = self._motion.position.numpy()[nodes] + length * self._motion.velocity.numpy()[nodes]
+        off = np.linalg.norm(self.targets.position.numpy() - expected, axis=1)[self._layout.pinned[nodes]]
+        return bool(off.size and off.max() > max(JUMP * self._edge, JUMP_WAVE * self._wave * length))
+
+    def _carry(self, substep: Interval) -> None:
+        """Takes every node along with the animation: the pose changes, the velocities do not."""
+        way = self.targets.all_nodes(substep.end) - self.targets.all_nodes(substep.start)
+        motion, nodes = self._motion, self._nodes
+        position, velocity = motion.position.numpy()[nodes] + way, motion.velocity.numpy()[nodes]
+        motion.position[nodes].assign(position)
+        motion.position_before[nodes].assign(position - self._step.length_before * velocity)
+        motion.velocity_before[nodes].assign(velocity)
+        self.tally.pops += 1

@@ -1,0 +1,260 @@
+"""Newton's method for one body's implicit step: minimise sum of weight |x - target|^2 / 2 plus elastic energy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import warp as wp
+
+from plait.solver.launch import Launcher
+from plait.solver.linear.block_rows import BlockRows
+from plait.solver.linear.chunks import chunk_size
+from plait.solver.linear.conjugate_gradients import ConjugateGradients
+from plait.solver.tets import elements as tet_elements
+from plait.solver.tets.body_kernels import body_kernels
+from plait.solver.tets.elements import body_elements, element_kernels, element_types, lame_parameters
+from plait.solver.tets.layout import TetLayout
+
+# Sufficient decrease; and the part of the slope that may remain where rounding hides the decrease.
+ARMIJO, CURVATURE = 1e-4, 0.9
+MAX_BACKTRACKS = 20
+# A linear solve is as exact as Newton's method can use: min(LOOSE, LOOSE sqrt(r / r0)).
+LOOSE = 0.1
+MAX_LINEAR_ITERATIONS = 400
+# Beyond so many iterations, or with a tet squeezed to this part of its volume, the Hessian is projected exactly.
+CHEAP_ITERATIONS, SQUEEZED = 6, 0.2
+# No displacement is worth another iteration below this part of the body's diagonal.
+STILL = 1e-7
+# A residual of so many times what rounding alone may leave is none.
+ROUNDING = 1.0
+FORCE_WORK, GATHER_WORK = tet_elements.FORCE_WORK, 12
+
+
+@dataclass
+class Outcome:
+    """Of one minimisation. residual: [N] 2-norm that is left."""
+
+    converged: bool
+    iterations: int
+    linear_iterations: int
+    residual: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """At one place. residual: [N] 2-norm; quadratic: [J]; work: of the forces along the direction last found."""
+
+    residual: float
+    quadratic: float
+    work: float
+    least_volume: float
+
+
+class Newton:
+    """Works on the unknowns of one body; `position` holds the place it is at, all nodes of the scene.
+
+    unknowns: struct `Unknowns` of `body_kernels`, whose weight and target say what to minimise.
+    rows: the matrix of the unknowns.
+    """
+
+    def __init__(
+        self,
+        layout: TetLayout,
+        body: int,
+        node: np.ndarray,
+        position: wp.array,
+        launcher: Launcher,
+        real: type,
+    ) -> None:
+        """node: (unknown_count,) int32, the free nodes, into all nodes."""
+        self._launcher, self.real, self._position = launcher, real, position
+        self._kernels, device = body_kernels(real), launcher.device
+        self._law = element_kernels(layout.bodies[body].law, real)
+        self.elements = body_elements(layout, body, real, device)
+        unknown = np.full(layout.node_count, -1, dtype=np.int64)
+        unknown[node] = np.arange(len(node))
+        tets = layout.tets[layout.first_tet[body] : layout.first_tet[body + 1]]
+        self.rows = BlockRows(unknown[tets], len(node), launcher, real)
+        self.gradients = ConjugateGradients(self.rows, launcher, real)
+        self.tet_count, count = len(tets), len(node)
+        self.unknowns = self._kernels.types.Unknowns()
+        vec3 = element_types(real).vec3
+        self.unknowns.node = wp.array(node, dtype=wp.int32, device=device)
+        self.unknowns.weight = wp.zeros(count, dtype=real, device=device)
+        self.unknowns.target = wp.zeros(count, dtype=wp.vec3d, device=device)
+        self.unknowns.residual = wp.zeros(count, dtype=vec3, device=device)
+        self._start = wp.zeros(count, dtype=wp.vec3d, device=device)
+        nodes = layout.rest[layout.nodes(body)]
+        self._still = STILL * float(np.linalg.norm(np.ptp(nodes, axis=0)))
+        self.rounding = ROUNDING * _rounding(layout, body, real)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """The launches that are repeated, and their arrays."""
+        launcher, kernels, law = self._launcher, self._kernels, self._law
+        device, prepare, vec3 = launcher.device, launcher.prepare, element_types(self.real).vec3
+        tets, unknowns, position = self.tet_count, self.unknowns, self._position
+        count = self.rows.count
+        self._force = wp.zeros(4 * tets, dtype=vec3, device=device)
+        self._dilation = wp.zeros(tets, dtype=self.real, device=device)
+        chunk, tet_chunk = chunk_size(count, device), chunk_size(tets, device)
+        chunks, tet_chunks = -(-count // chunk), -(-tets // tet_chunk)
+        self._sums = wp.zeros((chunks, 3), dtype=wp.float64, device=device)
+        self._direction_sums = wp.zeros((chunks, 2), dtype=wp.float64, device=device)
+        self._least = wp.zeros(tet_chunks, dtype=self.real, device=device)
+        direction = self.gradients.krylov.solution
+        forces = [self._force, self._dilation]
+        self._find_forces = prepare(law.force, tets, [self.elements, position], forces, work_per_item=FORCE_WORK)
+        self._find_least = prepare(
+            kernels.least, tet_chunks, [tet_chunk, self._dilation], [self._least], work_per_item=tet_chunk // 16
+        )
+        self._find_residual = prepare(
+            kernels.residual,
+            chunks,
+            [chunk, self.rows.incidence, self._force, position, direction],
+            [unknowns, self._sums],
+            work_per_item=GATHER_WORK * chunk,
+        )
+        self._examine_direction = prepare(
+            kernels.examine_direction, chunks, [chunk, unknowns, direction], [self._direction_sums],
+            work_per_item=chunk,
+        )  # fmt: skip
+        self._take_start = prepare(kernels.take, count, [unknowns, position], [self._start])
+
+    def start_from(self, guess: wp.array, here: Evaluation) -> Evaluation:
+        """Takes `position` to `guess`, (node_count,) vec3d, if that is the better place to begin than `here`.
+
+        A guess must have the lower residual in a body nowhere squeezed, or the lower energy: a blind guess of a
+        stretched bar may be its mirror image.
+        """
+        self._take_start()
+        count = self.rows.count
+        self._launcher.launch(self._kernels.put, count, [self.unknowns, guess], [self._position])
+        there = self.evaluate()
+        calm = min(here.least_volume, there.least_volume) > SQUEEZED
+        if calm and there.residual <= here.residual:
+            return there
+        energy = self.elastic_energy() + there.quadratic
+        self._advance(0.0)
+        if energy <= self.elastic_energy() + here.quadratic:
+            self._launcher.launch(self._kernels.put, count, [self.unknowns, guess], [self._position])
+            return self.evaluate()
+        return self.evaluate()
+
+    # -- the parts of an iteration ---------------------------------------------------------------------------
+
+    def evaluate(self) -> Evaluation:
+        """Forces at `position`."""
+        self._find_forces()
+        self._find_least()
+        self._find_residual()
+        square, quadratic, work = self._sums.numpy().sum(axis=0)
+        return Evaluation(float(np.sqrt(square)), float(quadratic), float(work), float(self._least.numpy().min()))
+
+    def elastic_energy(self) -> float:
+        """[J] at `position`."""
+        inputs = [self.elements, self._position]
+        self._launcher.launch(
+            self._law.energy, self.tet_count, inputs, [self._energy], work_per_item=tet_elements.ENERGY_WORK
+        )
+        chunk = chunk_size(self.tet_count, self._launcher.device)
+        parts = self._energy_parts
+        self._launcher.launch(self._kernels.total, len(parts), [chunk, self._energy], [parts])
+        return float(parts.numpy().sum())
+
+    @cached_property
+    def _energy(self) -> wp.array:
+        return wp.zeros(self.tet_count, dtype=wp.float64, device=self._launcher.device)
+
+    @cached_property
+    def _energy_parts(self) -> wp.array:
+        chunks = -(-self.tet_count // chunk_size(self.tet_count, self._launcher.device))
+        return wp.zeros(chunks, dtype=wp.float64, device=self._launcher.device)
+
+    @cached_property
+    def _tet_blocks(self) -> wp.array:
+        mat33 = element_types(self.real).mat33
+        return wp.zeros(10 * self.tet_count, dtype=mat33, device=self._launcher.device)
+
+    def assemble(self, exactly: bool) -> None:
+        """The matrix at `position`, positive definite: cheap, or with the Hessian projected exactly."""
+        kernel = self._law.projected if exactly else self._law.semi_definite
+        work = tet_elements.PROJECTED_WORK if exactly else tet_elements.SEMI_DEFINITE_WORK
+        inputs = [self.elements, self._position]
+        self._launcher.launch(kernel, self.tet_count, inputs, [self._tet_blocks], work_per_item=work)
+        self.rows.assemble(self._tet_blocks, self.unknowns.weight)
+
+    def _advance(self, fraction: float) -> None:
+        self._launcher.launch(
+            self._kernels.advance,
+            self.rows.count,
+            [self.unknowns, self._start, self.gradients.krylov.solution, fraction],
+            [self._position],
+        )
+
+    # -- the method ------------------------------------------------------------------------------------------
+
+    def minimise(self, here: Evaluation, reference: float, tolerance: float, max_iterations: int) -> Outcome:
+        """From `position`, evaluated as `here`, until the residual is `tolerance` of `reference` [N]."""
+        goal = max(tolerance * reference, self.rounding)
+        linear_iterations, exactly = 0, False
+        for iteration in range(max_iterations):
+            if here.residual <= goal:
+                return Outcome(True, iteration, linear_iterations, here.residual)
+            exactly = exactly or iteration >= CHEAP_ITERATIONS or here.least_volume < SQUEEZED
+            self.assemble(exactly)
+            krylov = self.gradients.krylov
+            wp.copy(krylov.residual, self.unknowns.residual)
+            forcing = min(LOOSE, LOOSE * np.sqrt(here.residual / max(reference, here.residual)))
+            linear_iterations += self.gradients.solve(forcing, MAX_LINEAR_ITERATIONS)
+            self._examine_direction()
+            sums = self._direction_sums.numpy()
+            longest, slope = float(np.sqrt(sums[:, 0].max())), float(sums[:, 1].sum())
+            self._take_start()
+            found = self._search(here, slope)
+            if found is None:
+                self._advance(0.0)
+                return Outcome(False, iteration + 1, linear_iterations, here.residual)
+            here = found
+            if longest <= self._still:
+                return Outcome(True, iteration + 1, linear_iterations, here.residual)
+        return Outcome(here.residual <= goal, max_iterations, linear_iterations, here.residual)
+
+    def _search(self, here: Evaluation, slope: float) -> Evaluation | None:
+        """Steps along the direction as far as energy falls enough; None if it falls nowhere.
+
+        A whole step that leaves a smaller residual in a body nowhere squeezed needs no energies. Where the
+        decrease is lost in rounding, the slope decides (Hager and Zhang 2005, 'approximate Wolfe').
+        """
+        fraction, energy = 1.0, None
+        for _ in range(MAX_BACKTRACKS):
+            self._advance(fraction)
+            there = self.evaluate()
+            calm = min(here.least_volume, there.least_volume) > SQUEEZED
+            if fraction == 1.0 and calm and there.residual <= here.residual:
+                return there
+            if energy is None:
+                self._advance(0.0)
+                energy = self.elastic_energy() + here.quadratic
+                self._advance(fraction)
+            change = self.elastic_energy() + there.quadratic - energy
+            if change <= -ARMIJO * fraction * slope:
+                return there
+            lost = abs(change) <= 1e-12 * abs(energy)
+            if lost and abs(there.work) <= CURVATURE * slope:
+                return there
+            fraction *= 0.5
+        return None
+
+
+def _rounding(layout: TetLayout, body: int, real: type) -> float:
+    """[N] 2-norm of what rounding leaves of the elastic forces on all nodes, were they all of the order of mu."""
+    tets = slice(int(layout.first_tet[body]), int(layout.first_tet[body + 1]))
+    corners = layout.rest[layout.tets[tets]]
+    inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1))
+    size = np.sqrt(np.square(inverse).sum(axis=(1, 2)) + np.square(inverse.sum(axis=1)).sum(axis=1))
+    mu, lam = lame_parameters(layout.bodies[body].youngs_modulus, layout.bodies[body].poissons_ratio)
+    epsilon = np.finfo(np.float32 if real == wp.float32 else np.float64).eps
+    return float(epsilon * np.linalg.norm((2.0 * mu + lam) * layout.volume[tets] * size))
