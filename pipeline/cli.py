@@ -163,12 +163,22 @@ def _preview(verbs: Any, common: argparse.ArgumentParser) -> None:
     parser.add_argument("-f", "--frames", metavar="1001:1100", help="frame of a still, frames of a clip")
     parser.add_argument("--size", default="960x720", metavar="WxH", help="pixels (960x720)")
     parser.add_argument("--camera", metavar="PRIM", help="render through this camera prim")
+    parser.add_argument("--core", action="store_true", help="show what is bone within flesh, of a shot or a cache")
+    _configuration(parser)
 
 
 def _run_preview(options: argparse.Namespace) -> int:
-    from plait.pipeline import preview
+    from plait.pipeline import config, preview
 
-    preview.render(options.cache, options.output, frames=options.frames, size=options.size, camera=options.camera)
+    settings = config.load(options.config, options.set)
+    preview.render(
+        options.cache,
+        options.output,
+        frames=options.frames,
+        size=options.size,
+        camera=options.camera,
+        core=settings if options.core else None,
+    )
     return EXIT_DONE
 
 

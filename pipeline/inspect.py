@@ -16,8 +16,8 @@ from plait.solver.build import FEATURES
 
 
 def show(path: Path, config: Config, as_json: bool = False) -> None:
-    """Prints the report. Nothing is compiled and nothing simulated. Raises as `read_shot` does."""
-    shot = read_shot(path, config)
+    """Prints the report. Nothing is compiled, filled or simulated. Raises as `read_shot` does."""
+    shot = read_shot(path, config, fill=False)
     if as_json:
         json.dump(as_data(shot), sys.stdout, indent=2)
         sys.stdout.write("\n")
@@ -44,7 +44,7 @@ def as_data(shot: Shot) -> dict[str, Any]:
 
 
 def stages(shot: Shot) -> list[str]:
-    """What `sim` will run, in order; nothing for a shot without strands."""
+    """What `sim` will run, in order; nothing for a shot without strands or flesh."""
     return [name for name, _, needed in FEATURES if needed(shot.scene)]
 
 
@@ -54,6 +54,7 @@ def totals(shot: Shot) -> dict[str, int]:
     return {
         "strands": sum(strands.strand_count for strands in scene.strands),
         "strand points": sum(len(strands.points) for strands in scene.strands),
+        "bodies of flesh": len(scene.bodies),
         "colliders": sum(surface.collides for surface in scene.surfaces),
         "collider triangles": sum(len(s.triangles) for s in scene.surfaces if s.collides),
         "moving colliders": sum(s.collides and s.motion.animated for s in scene.surfaces),
@@ -73,7 +74,11 @@ def _print(shot: Shot) -> None:
     )
     width = max((len(prim.role) for prim in shot.prims), default=0)
     for prim in shot.prims:
-        colour = {"strands": "green", "skipped": "dim"}.get(prim.role, "cyan") if prim.supported else "red"
+        colour = (
+            {"strands": "green", "flesh": "green", "skipped": "dim"}.get(prim.role, "cyan")
+            if prim.supported
+            else "red"
+        )
         console.print(f"  [{colour}]{prim.role:{width}}[/]  {escape(prim.path)}  [dim]{escape(_size(prim))}[/]")
         console.print(f"  {'':{width}}    {escape(_why(prim))}")
     roles = ", ".join(f"{count} {role}" for role, count in Counter(p.role for p in shot.prims).most_common())

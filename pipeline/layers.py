@@ -253,6 +253,13 @@ def missing_chunks(stage: Usd.Stage) -> list[str]:
     return list(missing)
 
 
+def source_path(layer: Sdf.Layer) -> Path | None:
+    """The shot that a result lies over: its weakest sublayer. None for what is no result, or a flattened one."""
+    if RECORD not in layer.customLayerData or not layer.subLayerPaths:
+        return None
+    return Path(layer.ComputeAbsolutePath(layer.subLayerPaths[-1]))
+
+
 def simulated_prims(layer: Sdf.Layer) -> tuple[str, ...]:
     """Paths of the prims that a result overrides, from its top layer's record; none for any other layer."""
     record = layer.customLayerData.get(RECORD, {})

@@ -6,6 +6,7 @@ import math
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,12 @@ import numpy as np
 from pxr import Tf, UsdGeom, UsdUtils
 
 from plait.pipeline import layers
+from plait.pipeline.config import Config
 from plait.pipeline.errors import InputError, UsageError
 from plait.pipeline.files import replacing
 from plait.pipeline.frames import parse
 from plait.pipeline.pictures import canvas, framing
-from plait.pipeline.pictures.drawables import collect
+from plait.pipeline.pictures.drawables import Shell, collect
 from plait.pipeline.read.source import Source
 
 STILLS = (".png", ".jpg", ".jpeg")
@@ -25,6 +27,7 @@ CLIPS = (".webp", ".gif")
 LARGEST = 4096  # twice that is what many drivers can draw
 # Frames that decide what must fit into the picture.
 FRAMED = 9
+TRANSLUCENT = 0.3
 
 
 def probe() -> str:
@@ -32,11 +35,20 @@ def probe() -> str:
     return canvas.probe()
 
 
-def render(cache: Path, output: Path, *, frames: str | None, size: str, camera: str | None) -> None:
+def render(
+    cache: Path,
+    output: Path,
+    *,
+    frames: str | None,
+    size: str,
+    camera: str | None,
+    core: Config | None = None,
+) -> None:
     """Draws `cache`, any USD stage, into `output`: a still (.png, .jpg) or a clip (.webp, .gif).
 
     frames: as `plait.pipeline.frames.parse` reads them; None for all of a clip, and for a still the middle one.
     size: WIDTHxHEIGHT [pixels].  camera: path of a camera prim; None for a view of all that moves.
+    core: the configuration of `sim`: what is bone within flesh is shown through it; None for a plain picture.
 
     Raises UsageError for arguments, InputError for a stage that does not open or shows nothing, PlaitError where
     there is no OpenGL.
@@ -48,7 +60,7 @@ def render(cache: Path, output: Path, *, frames: str | None, size: str, camera: 
     wanted = parse(frames).codes if frames else None
     if suffix in STILLS and wanted is not None and len(wanted) > 1:
         raise UsageError(f"--frames {frames}: a still shows one frame; for a clip end -o in .webp or .gif")
-    shown = _Stage(cache)
+    shown = _Stage(cache, core)
     codes = wanted or (shown.codes if suffix in CLIPS else (shown.middle,))
     _write(shown, output, codes, pixels, camera)
 
@@ -71,7 +83,7 @@ def _pixels(size: str) -> tuple[int, int]:
 class _Stage:
     """A stage and what it shows."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, core: Config | None = None) -> None:
         self._diagnostics = UsdUtils.CoalescingDiagnosticDelegate()  # USD's warnings are no part of a picture
         self.source = Source(path)
         missing = layers.missing_chunks(self.source.stage)
@@ -91,7 +103,23 @@ class _Stage:
                 file=path,
             )
 
+        if core is not None:
+            self._show_core(core)
         self.grounds = framing.grounds(self.drawables, self.middle)
+
+    def _show_core(self, config: Config) -> None:
+        """The bones within flesh, and that flesh translucent."""
+        from plait.pipeline.pictures.bones import bones
+
+        found = bones(self.source, config)
+        for bone in found:
+            count = len(bone.points(self.source.start))
+            print(f"plait: {bone.prim.GetPath()}: {count or 'no'} nodes are bone", file=sys.stderr)
+        flesh = {bone.prim for bone in found}
+        self.drawables = [
+            replace(shown, opacity=TRANSLUCENT) if isinstance(shown, Shell) and shown.prim in flesh else shown
+            for shown in self.drawables
+        ] + list(found)
 
     @property
     def codes(self) -> tuple[float, ...]:

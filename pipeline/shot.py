@@ -109,15 +109,17 @@ class CurveOutput(PrimOutput):
 class MeshNormals:
     """Authored normals of a mesh, each carried by the triangles about it that it is drawn with.
 
-    values: (n, 3) float64, as many as authored, unit, in the space of `rest`.
+    values: (group_count, 3) float64, unit, in the space of `rest`: equal normals at one place are one group.
+    group_of: (n,) int64, as many as authored.
     triangles: (m, 3) int32 and rest: (p, 3) [m]: the skin they are drawn on, and where it lies meanwhile.
-    entries, carriers: (k,) pairs of a normal and one of the triangles that turn it; entries in order.
+    groups, carriers: (k,) pairs of a group and one of the triangles that turn it.
     """
 
     values: np.ndarray
+    group_of: np.ndarray
     triangles: np.ndarray
     rest: np.ndarray
-    entries: np.ndarray
+    groups: np.ndarray
     carriers: np.ndarray
 
 

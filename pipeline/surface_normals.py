@@ -18,7 +18,7 @@ class SurfaceNormals:
         self._held = normals
         edges = _edges(normals.rest[normals.triangles])
         # cof(F) n A = cof(D) Dr^T n / 2, with D = F Dr the triangle's edges and its unit normal.
-        shown = normals.values[normals.entries]
+        shown = normals.values[normals.groups]
         self._parts = np.einsum("kji,kj->ki", edges[normals.carriers], shown)
 
     def at(self, points: np.ndarray) -> np.ndarray:
@@ -32,9 +32,10 @@ class SurfaceNormals:
         cofactors = np.stack([np.cross(second, normal), np.cross(normal, first), np.cross(first, second)], axis=2)
         turned = np.einsum("kij,kj->ki", cofactors[held.carriers], self._parts)
         count = len(held.values)
-        total = np.stack([np.bincount(held.entries, turned[:, k], minlength=count) for k in range(3)], axis=1)
+        total = np.stack([np.bincount(held.groups, turned[:, k], minlength=count) for k in range(3)], axis=1)
         length = np.linalg.norm(total, axis=1, keepdims=True)
-        return np.where(length > 0.0, total / np.where(length > 0.0, length, 1.0), held.values)
+        unit = np.where(length > 0.0, total / np.where(length > 0.0, length, 1.0), held.values)
+        return unit[held.group_of]
 
 
 def _edges(corners: np.ndarray) -> np.ndarray:

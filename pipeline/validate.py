@@ -35,9 +35,7 @@ def validate(result: Path, source: Path | None = None) -> list[Finding]:
     Raises InputError for a file that does not open.
     """
     stage = layers.open_stage(result)
-    if source is None and stage.GetRootLayer().subLayerPaths:
-        root = stage.GetRootLayer()
-        source = Path(root.ComputeAbsolutePath(root.subLayerPaths[-1]))
+    source = source or layers.source_path(stage.GetRootLayer())
     inherited = Counter(map(_key, validator_findings(layers.open_stage(source)))) if source else Counter()
     new = []
     for finding in validator_findings(stage):

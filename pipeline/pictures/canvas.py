@@ -146,7 +146,15 @@ class _Shown:
         mesh.point_data["rgb"] = self._creased.colours
         mesh.point_data["Normals"] = normals.astype(np.float32)
         mesh.point_data.active_normals_name = "Normals"
-        actor = self._plotter.add_mesh(mesh, scalars="rgb", rgb=True, render=False, reset_camera=False, **MATTER)
+        actor = self._plotter.add_mesh(
+            mesh,
+            scalars="rgb",
+            rgb=True,
+            opacity=self._drawable.opacity,
+            render=False,
+            reset_camera=False,
+            **MATTER,
+        )
         actor.prop.interpolation = "Phong"
         return mesh, actor
 

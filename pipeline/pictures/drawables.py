@@ -37,9 +37,10 @@ class Drawable:
 
 @dataclass(frozen=True)
 class Shell(Drawable):
-    """A mesh or simple shape."""
+    """A mesh, a tet mesh's surface or a simple shape. opacity: 0 to 1."""
 
     body: Body
+    opacity: float = 1.0
 
     @property
     def triangles(self) -> np.ndarray:

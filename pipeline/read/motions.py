@@ -6,6 +6,7 @@ own points (see `Anchor`), so that they are metres of the world, whatever scale 
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -170,33 +171,66 @@ class BlendedMotion:
         return Pose(self.anchor.undo(self.placement.metric(code))[None], self.blend_weights(code))
 
 
+class ShapedMotion:
+    """A surface whose points are found on the host, in a space of their own that is then placed.
+
+    kept: (n,) which of the prim's points it has.
+    """
+
+    source: Source
+    kept: np.ndarray
+    animated: bool = True
+
+    @property
+    def placed_by(self) -> Placement:
+        """What takes that space to the world."""
+        raise NotImplementedError
+
+    @property
+    def samples(self) -> list[float]:
+        """Time codes between which `shape` is linear in time; none where it is not."""
+        return []
+
+    def shape(self, code: float) -> np.ndarray:
+        """(n, 3) [m]"""
+        raise NotImplementedError
+
+    def pose(self, time: float) -> Pose:
+        code = self.source.code(time)
+        return Pose(np.eye(4)[None], points=transform(self.placed_by.metric(code), self.shape(code)))
+
+
 @dataclass
-class PointsMotion:
-    """A surface whose points are themselves animated. kept: (n,) which of the prim's points it has."""
+class PointsMotion(ShapedMotion):
+    """A surface whose points are themselves animated."""
 
     source: Source
     attribute: Usd.Attribute
     placement: Placement
     point_count: int
     kept: np.ndarray
-    animated: bool = True
 
-    def pose(self, time: float) -> Pose:
-        code = self.source.code(time)
+    @property
+    def placed_by(self) -> Placement:
+        return self.placement
+
+    @property
+    def samples(self) -> list[float]:
+        return list(self.attribute.GetTimeSamples())
+
+    def shape(self, code: float) -> np.ndarray:
         points = values.vectors(self.source, self.attribute, code)
         values.check_count(self.source, self.attribute, code, points, self.point_count)
-        meters = points[self.kept] * self.source.units.meters_per_unit
-        return Pose(np.eye(4)[None], points=transform(self.placement.metric(code), meters))
+        return points[self.kept] * self.source.units.meters_per_unit
 
 
 @dataclass
-class DeformedMotion:
+class DeformedMotion(ShapedMotion):
     """A surface that UsdSkel itself skins, on the host, because joint matrices cannot say how it moves.
 
     So it is with weights that do not sum to one, and with dual quaternions under an uneven scale.
 
     points: (n, 3) float64, the prim's own [stage units]; blended: those with blend shapes added, at a time code.
-    kept: (m,) which of them the surface has.
     """
 
     skeleton: SkeletonState
@@ -204,16 +238,80 @@ class DeformedMotion:
     points: np.ndarray
     kept: np.ndarray
     blended: Callable[[float], np.ndarray] | None = None
-    animated: bool = True
 
-    def pose(self, time: float) -> Pose:
-        source = self.skeleton.source
-        code = source.code(time)
+    @property
+    def source(self) -> Source:
+        return self.skeleton.source
+
+    @property
+    def placed_by(self) -> Placement:
+        return self.skeleton.placement
+
+    def shape(self, code: float) -> np.ndarray:
         points = self.points if self.blended is None else self.blended(code)
         skinned = Vt.Vec3fArray.FromNumpy(points.astype(np.float32))
         self.query.ComputeSkinnedPoints(self.skeleton.query.ComputeSkinningTransforms(code), skinned, code)
-        meters = np.array(skinned, dtype=np.float64)[self.kept] * source.units.meters_per_unit
-        return Pose(np.eye(4)[None], points=transform(self.skeleton.placement.metric(code), meters))
+        return np.array(skinned, dtype=np.float64)[self.kept] * self.source.units.meters_per_unit
+
+
+@dataclass
+class InnerMotion:
+    """What lies inside a skin whose points are found on the host: it follows them.
+
+    follow: (n, 3) points of the skin to (m, 3) within, linear; asked for once for each of the skin's time samples,
+    where it has some.
+    """
+
+    skin: ShapedMotion
+    follow: Callable[[np.ndarray], np.ndarray]
+    animated: bool = True
+    _held: dict[float, np.ndarray] = field(default_factory=dict, repr=False)
+
+    def pose(self, time: float) -> Pose:
+        skin = self.skin
+        code = skin.source.code(time)
+        return Pose(np.eye(4)[None], points=transform(skin.placed_by.metric(code), self._shape(code)))
+
+    def _shape(self, code: float) -> np.ndarray:
+        samples = self.skin.samples
+        if not samples:
+            return self._at(code)
+        upper = bisect.bisect_left(samples, code)
+        before, after = samples[max(upper - 1, 0)], samples[min(upper, len(samples) - 1)]
+        if code <= before or code >= after:
+            return self._at(before if code <= before else after)
+        share = (code - before) / (after - before)
+        return (1.0 - share) * self._at(before) + share * self._at(after)
+
+    def _at(self, code: float) -> np.ndarray:
+        if code not in self._held:
+            kept = list(self._held.items())[-1:]  # the sample before, which the next pose too lies after
+            self._held = {**dict(kept), code: self.follow(self.skin.shape(code))}
+        return self._held[code]
+
+
+@dataclass(frozen=True)
+class WorldToLocal:
+    """time [s] -> (4, 4), scene coordinates [m] to a prim's own space [stage units]."""
+
+    source: Source
+    prim: Usd.Prim
+
+    def __call__(self, time: float) -> np.ndarray:
+        source = self.source
+        code = source.code(time)
+        local = source.local_to_world(self.prim, code)
+        if not np.all(np.isfinite(local)) or np.linalg.cond(local[:3, :3]) > 1e12:
+            raise source.error(
+                f"the transform to world at time code {code:g} has no inverse",
+                self.prim,
+                "xformOpOrder",
+                "scale by more than zero",
+            )
+        to_world = np.eye(4) / source.units.meters_per_unit
+        to_world[:3, 3] = source.origin / source.units.meters_per_unit
+        to_world[3, 3] = 1.0
+        return np.linalg.inv(local) @ to_world
 
 
 def add_shapes(points: np.ndarray, shapes: BlendShapes, weights: np.ndarray) -> np.ndarray:

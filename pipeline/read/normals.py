@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from pxr import UsdGeom
+from pxr import Usd, UsdGeom
 
 from plait.pipeline.read import values
 from plait.pipeline.read.curves import Curves, Polylines, varying_positions
@@ -12,7 +12,7 @@ from plait.pipeline.read.source import Source
 from plait.pipeline.shot import Normals
 
 # Below it a normal has no direction.
-_LEAST = 1e-12
+LEAST = 1e-12
 
 
 def read_normals(source: Source, curves: Curves, lines: Polylines, rooted: Rooted) -> Normals | None:
@@ -21,7 +21,7 @@ def read_normals(source: Source, curves: Curves, lines: Polylines, rooted: Roote
     `primvars:normals` comes before `normals`. Normals that fit no interpolation, have no direction, or are one for
     several curves cannot turn with the hair, and the result has none.
     """
-    name, interpolation, given = _authored(source, curves)
+    name, interpolation, given = authored_normals(source, curves.prim)
     if not len(given):
         return None
     drawn = _drawn_points(curves, interpolation)
@@ -34,20 +34,23 @@ def read_normals(source: Source, curves: Curves, lines: Polylines, rooted: Roote
     # The inverse transpose keeps normals across what they are normal to under uneven scale.
     turned = np.einsum("nji,nj->ni", np.linalg.inv(rooted.to_rest[strand, :3, :3]), given)
     length = np.linalg.norm(turned, axis=1, keepdims=True)
-    if length.min() <= _LEAST:
+    if length.min() <= LEAST:
         source.warn("some have no direction; the result has none", curves.prim, name)
         return None
     last = lines.offsets[strand + 1] - 2
     return Normals(turned / length, np.minimum(points, last))
 
 
-def _authored(source: Source, curves: Curves) -> tuple[str, str, np.ndarray]:
+def authored_normals(source: Source, prim: Usd.Prim) -> tuple[str, str, np.ndarray]:
     """(attribute, interpolation, (n, 3) values); no values where none are authored."""
-    primvar = UsdGeom.PrimvarsAPI(curves.prim).GetPrimvar("normals")
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar and primvar.HasAuthoredValue():
-        given = values.checked(source, curves.prim, primvar.GetName(), primvar.ComputeFlattened(source.start))
-        return primvar.GetName(), str(primvar.GetInterpolation()), given
-    schema = UsdGeom.PointBased(curves.prim)
+        held = primvar.ComputeFlattened(source.start)
+        if held is None:
+            raise source.error("its indices do not fit its values", prim, primvar.GetName(), "mend the indices")
+        given = values.checked(source, prim, primvar.GetName(), held)
+        return primvar.GetName(), str(primvar.GetInterpolation()), given.reshape(len(given), -1)
+    schema = UsdGeom.PointBased(prim)
     attribute = schema.GetNormalsAttr()
     given = values.vectors(source, attribute) if attribute.HasAuthoredValue() else np.zeros((0, 3))
     return attribute.GetName(), str(schema.GetNormalsInterpolation()), given

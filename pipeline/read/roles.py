@@ -17,8 +17,8 @@ APPLIED = {
     "PhysicsSurfaceDeformableSimAPI": "cloth",
 }
 # Roles whose physics does not exist yet. Their prims stay as authored, and strands collide with them as such.
-UNSUPPORTED = ("flesh", "cloth", "rigid", "sand", "snow", "enriched")
-SIMULATED = ("strands", *UNSUPPORTED)
+UNSUPPORTED = ("cloth", "rigid", "sand", "snow", "enriched")
+SIMULATED = ("strands", "flesh", *UNSUPPORTED)
 PROP = "animated prop"
 SKIPPED = "skipped"
 
@@ -62,7 +62,7 @@ def applied_schemas(prim: Usd.Prim) -> set[str]:
 
 
 def is_solid(prim: Usd.Prim) -> bool:
-    return prim.IsA(UsdGeom.Mesh) or shapes.is_shape(prim)
+    return prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.TetMesh) or shapes.is_shape(prim)
 
 
 def has_collision(prim: Usd.Prim) -> bool:
@@ -132,7 +132,7 @@ class _Assignment:
         is_curves = prim.IsA(UsdGeom.Curves)
         fits = {
             "strands": is_curves,
-            "flesh": prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.TetMesh),
+            "flesh": _is_tissue(prim),
             "cloth": prim.IsA(UsdGeom.Mesh),
             "collider": is_solid(prim),
         }.get(value, True)
@@ -233,11 +233,23 @@ class _Assignment:
     def _why_unwritable(self, prim: Usd.Prim) -> str:
         return "inside an instance, which cannot be overridden; de-instance it" if prim.IsInstanceProxy() else ""
 
+    def _checked_flesh(self, role: Role) -> Role:
+        prim = role.prim
+        if not _is_geometry(prim):
+            if any(self._authored.get(str(p.GetPath())) for p in Usd.PrimRange(prim, PREDICATE) if _is_tissue(p)):
+                return replace(role, role=SKIPPED, reason="its meshes are the flesh")
+            return replace(role, reason="has neither Mesh nor TetMesh beneath it", supported=False)
+        reason = "" if _is_tissue(prim) else f"a {prim.GetTypeName()} has no points to write; convert it to a Mesh"
+        reason = reason or self._why_unwritable(prim)
+        return replace(role, reason=reason, supported=not reason)
+
     def _checked(self, role: Role) -> Role:
         if role.role == "strands" and role.authored:
             reason = curves.refusal(role.prim) or self._why_unwritable(role.prim)
             if reason:
                 return replace(role, reason=reason, supported=False)
+        if role.role == "flesh":
+            return self._checked_flesh(role)
         if role.role in UNSUPPORTED:
             return replace(role, reason=f"{role.role} is not simulated yet", supported=False)
         return role
@@ -245,6 +257,10 @@ class _Assignment:
 
 def _is_geometry(prim: Usd.Prim) -> bool:
     return prim.IsA(UsdGeom.Gprim)
+
+
+def _is_tissue(prim: Usd.Prim) -> bool:
+    return prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.TetMesh)
 
 
 def _visibility_varies(prim: Usd.Prim) -> bool:

@@ -9,32 +9,38 @@ import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdUtils
 
 from plait.pipeline.config import Config
-from plait.pipeline.read import bezier, parameters, roles, strands
+from plait.pipeline.read import bezier, parameters, roles, strands, values
 from plait.pipeline.read import curves as drawn
 from plait.pipeline.read.extents import Neighbourhood
 from plait.pipeline.read.gravity import read_gravity
+from plait.pipeline.read.motions import WorldToLocal
 from plait.pipeline.read.normals import read_normals
+from plait.pipeline.read.polygons import mesh_sizes
 from plait.pipeline.read.roles import Role
 from plait.pipeline.read.roots import Rooted, find_roots
 from plait.pipeline.read.skeletons import Skeletons
 from plait.pipeline.read.source import Source
-from plait.pipeline.read.surfaces import Bodies, Body, mesh_sizes
+from plait.pipeline.read.surfaces import Bodies, Body
+from plait.pipeline.read.tissue import Tissue, estimate
 from plait.pipeline.shot import CurveOutput, PrimReport, Shot
 from plait.solver.scene import RootBinding, Scene, Strands, Surface
 
 
-def read_shot(path: Path, config: Config, frames: tuple[float, float] | None = None) -> Shot:
+def read_shot(path: Path, config: Config, frames: tuple[float, float] | None = None, *, fill: bool = True) -> Shot:
     """Reads a shot. frames: first and last time code wanted; the shot's own range if None.
 
-    Roles whose physics does not exist yet are reported with `supported=False`, not refused. Without strands no
-    skin is read. Raises InputError for input that cannot be right, UsageError for such frames or parameters.
+    fill: False leaves flesh without tets, for a report: their numbers are estimates, and nothing is compiled.
+
+    Roles whose physics does not exist yet are reported with `supported=False`, not refused. Without strands or
+    flesh no skin is read. Raises InputError for input that cannot be right, UsageError for such frames or
+    parameters.
     """
     parameters.check_configuration(config)
     # USD prints its warnings; here they become the shot's.
     diagnostics = UsdUtils.CoalescingDiagnosticDelegate()
     source = Source(Path(path), frames)
     try:
-        shot = _Reader(source, config).shot()
+        shot = _Reader(source, config, fill).shot()
     except Tf.ErrorException as error:
         raise source.error(f"USD cannot evaluate it: {error}", mend="check it with usdchecker") from error
     for diagnostic in diagnostics.TakeUncoalescedDiagnostics():
@@ -53,8 +59,8 @@ class _Groom:
 
 
 class _Reader:
-    def __init__(self, source: Source, config: Config) -> None:
-        self.source, self.config = source, config
+    def __init__(self, source: Source, config: Config, fill: bool) -> None:
+        self.source, self.config, self.fill = source, config, fill
         self.skeletons = Skeletons(source)
         self.bodies = Bodies(source, self.skeletons)
         self.roles = roles.assign(source, self.skeletons)
@@ -63,16 +69,27 @@ class _Reader:
         self._check_patterns()
         grooms = self._grooms()
         self.source.origin = self._origin(grooms)
-        surfaces, carrying = self._surfaces(grooms)
+        tissues = self._tissues()
+        surfaces, carrying = self._surfaces(grooms, tissues)
         scene_strands, outputs = [], []
         for groom in grooms:
             outputs.append(self._output(groom, len(scene_strands)))
             scene_strands.append(self._strands(groom, surfaces))
-        gravity = read_gravity(self.source)
-        scene = Scene(tuple(surfaces), tuple(scene_strands), gravity, self.source.origin)
+        bodies = tuple(
+            replace(tissue.tets, surface=next(i for i, s in enumerate(surfaces) if s.body == index))
+            for index, tissue in enumerate(tissues.values())
+        )
+        scene = Scene(
+            tuple(surfaces),
+            tuple(scene_strands),
+            bodies=bodies,
+            gravity=read_gravity(self.source),
+            origin=self.source.origin,
+        )
         self._tell_of_skipped_curves()
-        reports = tuple(self._report(role, carrying, grooms) for role in self.roles)
-        return Shot(self.source.info, scene, tuple(outputs), reports)
+        reports = tuple(self._report(role, carrying, grooms, tissues) for role in self.roles)
+        meshes = tuple(replace(tissue.output, body=index) for index, tissue in enumerate(tissues.values()))
+        return Shot(self.source.info, scene, tuple(outputs), reports, meshes=meshes)
 
     # --- strands ----------------------------------------------------------------------------------------------
 
@@ -98,15 +115,19 @@ class _Reader:
         return grooms
 
     def _origin(self, grooms: list[_Groom]) -> np.ndarray:
-        """The middle of the grooms where they are drawn at the first frame, to the metre."""
-        if not grooms:
+        """The middle of all that is simulated where it is drawn at the first frame, to the metre."""
+        drawn_points = [(groom.role.prim, groom.curves.points) for groom in grooms]
+        for role in self._flesh_roles():
+            points = values.vectors(self.source, UsdGeom.PointBased(role.prim).GetPointsAttr())
+            drawn_points += [(role.prim, points)] if len(points) else []
+        if not drawn_points:
             return np.zeros(3)
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for groom in grooms:
-            binding = self.skeletons.find(groom.role.prim)
-            holder = binding.skeleton.prim if binding else groom.role.prim
+        for prim, points in drawn_points:
+            binding = self.skeletons.find(prim)
+            holder = binding.skeleton.prim if binding else prim
             matrix = self.source.placed_at_start(holder)
-            points = groom.curves.points @ matrix[:3, :3].T + matrix[:3, 3]
+            points = points @ matrix[:3, :3].T + matrix[:3, 3]
             low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
         # Adding zero makes no zero negative.
         return np.round(0.5 * (low + high) * self.source.units.meters_per_unit) + 0.0
@@ -122,9 +143,9 @@ class _Reader:
         widths = drawn.read_widths(self.source, curves)
         return CurveOutput(
             prim_path=curves.path,
+            world_to_local=WorldToLocal(self.source, prim),
             strands=index,
             point_map=groom.lines.point_map,
-            world_to_local=strands.WorldToLocal(self.source, prim),
             widths=np.zeros(len(curves.points)) if widths is None else widths,
             stencil=bezier.stencil(curves.counts, groom.lines.point_map) if drawn.is_bezier(prim) else None,
             skinned=self.skeletons.find(prim) is not None,
@@ -141,11 +162,46 @@ class _Reader:
             others = f" (and {len(prims) - 1} more)" if len(prims) > 1 else ""
             self.source.warn(f"not simulated{others}: {reason}", prims[0])
 
+    # --- flesh ------------------------------------------------------------------------------------------------
+
+    def _tissues(self) -> dict[str, Tissue]:
+        """The flesh of the shot by prim path, in the order of `Scene.bodies`."""
+        tissues: dict[str, Tissue] = {}
+        for role in self._flesh_roles():
+            body = self.bodies.get(role.prim)
+            if body is None:
+                raise self.source.error(
+                    "has no triangle with an area", role.prim, "faceVertexIndices", "give the flesh a surface"
+                )
+            given = parameters.resolve(self.source, role.prim, parameters.FLESH, self.config)
+            tissue = self._tissue(body, given)
+            friction = given["friction"] if "friction" in given else None
+            tissues[body.path] = tissue.placed(len(tissues), given["clearance"], friction)
+        return tissues
+
+    def _tissue(self, body: Body, given: parameters.Given) -> Tissue:
+        if not self.fill:
+            return estimate(self.source, body, given)
+        # Here, so that a shot without flesh does not load Warp to be read.
+        from plait.pipeline.read.flesh import facing_outward, read_tissue
+
+        body = facing_outward(body)
+        self.bodies.replace(body)
+        return read_tissue(self.source, body, given)
+
+    def _flesh_roles(self) -> list[Role]:
+        return [role for role in self.roles if role.role == "flesh" and role.supported]
+
     # --- surfaces ---------------------------------------------------------------------------------------------
 
-    def _surfaces(self, grooms: list[_Groom]) -> tuple[list[Surface], dict[str, list[str]]]:
-        """All that strands collide with or grow on; and which prims carry which grooms. None without strands."""
-        if not grooms:
+    def _surfaces(
+        self, grooms: list[_Groom], tissues: dict[str, Tissue]
+    ) -> tuple[list[Surface], dict[str, list[str]]]:
+        """All that strands or flesh collide with, or strands grow on; and which prims carry which grooms.
+
+        None without strands or flesh.
+        """
+        if not grooms and not tissues:
             return [], {}
         carrying: dict[str, list[str]] = {}
         hidden = []
@@ -156,6 +212,7 @@ class _Reader:
             groom.rooted = find_roots(
                 self.source, groom.curves, groom.lines, binding, candidates, named is not None
             )
+            self._tell_of_animated_roots(groom, tissues)
             for body in groom.rooted.bodies:
                 carrying.setdefault(body.path, []).append(groom.curves.path)
             if not groom.rooted.surface.collides:
@@ -163,11 +220,23 @@ class _Reader:
         surfaces = []
         for role in self.roles:
             path = str(role.prim.GetPath())
-            if role.collides or (path in carrying and roles.is_solid(role.prim)):
+            if path in tissues:
+                surfaces.append(tissues[path].surface)
+            elif role.collides or (path in carrying and roles.is_solid(role.prim)):
                 body = self.bodies.get(role.prim)
                 if body is not None:
                     surfaces.append(self._with_contact(body))
         return surfaces + hidden, carrying
+
+    def _tell_of_animated_roots(self, groom: _Groom, tissues: dict[str, Tissue]) -> None:
+        """Strands that grow on several skins, or were drawn in a pose, follow the animation of these."""
+        flesh = [body.path for body in groom.rooted.bodies if body.path in tissues]
+        if flesh and not groom.rooted.surface.collides:
+            self.source.warn(
+                f"its roots follow the animation of {', '.join(flesh)}, not the simulated flesh: "
+                "the strands grow on several skins or were drawn in a pose",
+                groom.role.prim,
+            )
 
     def _named_skins(self, prim: Usd.Prim) -> list[Body] | None:
         relationship = prim.GetRelationship("plait:skin")
@@ -214,7 +283,9 @@ class _Reader:
             if not parameters.matches_any(pattern, paths):
                 self.source.warn(f"prim.{pattern!r} of the configuration matches no prim")
 
-    def _report(self, role: Role, carrying: dict[str, list[str]], grooms: list[_Groom]) -> PrimReport:
+    def _report(
+        self, role: Role, carrying: dict[str, list[str]], grooms: list[_Groom], tissues: dict[str, Tissue]
+    ) -> PrimReport:
         prim = role.prim
         path = str(prim.GetPath())
         groom = next((g for g in grooms if g.role.prim == prim), None)
@@ -226,6 +297,8 @@ class _Reader:
             sizes = drawn.sizes(prim, self.source)
         else:
             sizes = mesh_sizes(prim, self.source)
+        if path in tissues:
+            sizes |= tissues[path].sizes
         return PrimReport(
             path=path,
             type_name=str(prim.GetTypeName()),

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from pxr import Usd
 
 from plait.pipeline.read.curves import Curves, Polylines, read_widths, stub_length
+from plait.pipeline.read.motions import WorldToLocal
 from plait.pipeline.read.parameters import Given
 from plait.pipeline.read.roots import Rooted
 from plait.pipeline.read.source import Source
@@ -24,30 +22,6 @@ EARTH = 9.81
 LOCK_DAMPING, AIR_DAMPING = 2.0, 8.0
 # Least radius along a strand over its mean: drawn tips may taper to nothing, but have a mass.
 LEAST_RADIUS = 0.1
-
-
-@dataclass(frozen=True)
-class WorldToLocal:
-    """time [s] -> (4, 4), scene coordinates [m] to a prim's own space [stage units]."""
-
-    source: Source
-    prim: Usd.Prim
-
-    def __call__(self, time: float) -> np.ndarray:
-        source = self.source
-        code = source.code(time)
-        local = source.local_to_world(self.prim, code)
-        if not np.all(np.isfinite(local)) or np.linalg.cond(local[:3, :3]) > 1e12:
-            raise source.error(
-                f"the transform to world at time code {code:g} has no inverse",
-                self.prim,
-                "xformOpOrder",
-                "scale by more than zero",
-            )
-        to_world = np.eye(4) / source.units.meters_per_unit
-        to_world[:3, 3] = source.origin / source.units.meters_per_unit
-        to_world[3, 3] = 1.0
-        return np.linalg.inv(local) @ to_world
 
 
 def build(

@@ -12,7 +12,6 @@ from functools import cached_property
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from plait.pipeline.read import shapes, values
 from plait.pipeline.read.motions import (
     Anchor,
     BlendedMotion,
@@ -26,6 +25,7 @@ from plait.pipeline.read.motions import (
     transform,
 )
 from plait.pipeline.read.placing import place_points
+from plait.pipeline.read.polygons import read_polygons
 from plait.pipeline.read.skeletons import (
     SkeletonBinding,
     Skeletons,
@@ -45,6 +45,7 @@ class Body:
     surface: as the scene has it (colliding, without contact parameters: the caller's `replace` adds those).
     face_of: (triangle_count,) the face each triangle was cut from; each face's run is contiguous.
     corners: faces' vertices as authored, welded: corner_offsets (face_count + 1,) into corner_points.
+    corner_count: entries of the faces' lists as authored, those of faces left out too.
     welded: (authored point count,) int32, the surface's point that each authored one is.
     authored_points, authored_corners: (triangle_count, 3), the triangles' points, and their entries in the
         face-vertex lists, as authored: where primvars are found.
@@ -60,6 +61,7 @@ class Body:
     face_of: np.ndarray
     corner_offsets: np.ndarray
     corner_points: np.ndarray
+    corner_count: int
     welded: np.ndarray
     authored_points: np.ndarray
     authored_corners: np.ndarray
@@ -109,45 +111,22 @@ class Bodies:
             self._read[path] = read_body(self._source, prim, self._skeletons.find(prim))
         return self._read[path]
 
-
-@dataclass(frozen=True)
-class _Polygons:
-    """entries: where `indices` stand in the authored list."""
-
-    points: np.ndarray
-    counts: np.ndarray
-    indices: np.ndarray
-    entries: np.ndarray
-    left_handed: bool
-    subdivided: bool
-    animated: bool
-
-
-def mesh_sizes(prim: Usd.Prim, source: Source) -> dict[str, int]:
-    """Counts for a report."""
-    if prim.IsA(UsdGeom.TetMesh):
-        tets = UsdGeom.TetMesh(prim)
-        held = tets.GetTetVertexIndicesAttr().Get(source.start), tets.GetPointsAttr().Get(source.start)
-        return {"tets": len(held[0] or []), "points": len(held[1] or [])}
-    if not prim.IsA(UsdGeom.Mesh):
-        return {}
-    mesh = UsdGeom.Mesh(prim)
-    points = mesh.GetPointsAttr().Get(source.start)
-    counts = mesh.GetFaceVertexCountsAttr().Get(source.start)
-    return {"faces": len(counts or []), "points": len(points or [])}
+    def replace(self, body: Body) -> None:
+        """From now on `body` is what `get` gives for its prim."""
+        self._read[body.path] = body
 
 
 def read_body(source: Source, prim: Usd.Prim, binding: SkeletonBinding | None) -> Body | None:
     """Raises InputError for meshes whose counts and indices do not fit, or whose values are not finite."""
-    polygons = _read_polygons(source, prim)
+    polygons = read_polygons(source, prim)
     points = polygons.points
     triangles, face_of = triangulate(points, polygons.counts, polygons.indices, polygons.left_handed)
     if not len(triangles):
         source.warn("has no triangle with an area; left out", prim, "faceVertexIndices")
         return None
-    moved = _bind(source, prim, points, binding, polygons.animated)
+    moved = bind(source, prim, points, binding)
     kept, welded = weld(moved.surface.points, triangles, moved.attached)
-    surface = _keep(moved, kept, welded[triangles])
+    surface = moved.keep(kept, welded[triangles])
     # A triangle may have lost its area by welding; its face keeps its others.
     alive = has_area(surface.points, surface.triangles)
     surface = replace(surface, triangles=np.ascontiguousarray(surface.triangles[alive]))
@@ -159,6 +138,7 @@ def read_body(source: Source, prim: Usd.Prim, binding: SkeletonBinding | None) -
         face_of=face_of,
         corner_offsets=offsets,
         corner_points=welded[polygons.indices],
+        corner_count=polygons.corner_count,
         welded=welded,
         authored_points=triangles,
         authored_corners=polygons.entries[_corners_of(triangles, face_of, offsets, polygons.indices)],
@@ -171,11 +151,11 @@ def read_body(source: Source, prim: Usd.Prim, binding: SkeletonBinding | None) -
     )
 
 
-_NO_TRIANGLES = np.zeros((0, 3), np.int32)
+NO_TRIANGLES = np.zeros((0, 3), np.int32)
 
 
 @dataclass(frozen=True)
-class _Bound:
+class Bound:
     """A surface before welding, without its triangles.
 
     attached: (point_count, k), what moves a point beside where it is.  keep_motion: makes the motion of the points
@@ -189,10 +169,14 @@ class _Bound:
     bind_to_rest: np.ndarray
     keep_motion: Callable[[np.ndarray], Motion] | None = None
 
+    def keep(self, kept: np.ndarray, triangles: np.ndarray) -> Surface:
+        """The surface with only the points `kept`, and these triangles of them."""
+        motion = self.keep_motion(kept) if self.keep_motion else self.surface.motion
+        return keep_points(self.surface, kept, triangles, motion)
 
-def _bind(
-    source: Source, prim: Usd.Prim, points: np.ndarray, binding: SkeletonBinding | None, animated: bool
-) -> _Bound:
+
+def bind(source: Source, prim: Usd.Prim, points: np.ndarray, binding: SkeletonBinding | None) -> Bound:
+    """How the animation moves the points (n, 3) [stage units] of a prim. Raises InputError for unfit bindings."""
     if binding is not None and binding.query.HasJointInfluences():
         return _bind_to_joints(source, prim, points, binding)
     placement = Placement(source, prim)
@@ -206,27 +190,27 @@ def _bind(
         if blended:
             shapes_, weights = blended
             motion = BlendedMotion(source, placement, anchor, weights)
-            surface = Surface(name, rest, _NO_TRIANGLES, motion, blend_shapes=shapes_)
-            return _Bound(surface, _shape_rows(shapes_, len(points)), to_world, own_to_rest, own_to_rest)
-    if animated:
-        attribute = UsdGeom.PointBased(prim).GetPointsAttr()
+            surface = Surface(name, rest, NO_TRIANGLES, motion, blend_shapes=shapes_)
+            return Bound(surface, _shape_rows(shapes_, len(points)), to_world, own_to_rest, own_to_rest)
+    attribute = UsdGeom.PointBased(prim).GetPointsAttr() if prim.IsA(UsdGeom.PointBased) else None
+    if attribute and attribute.ValueMightBeTimeVarying():
 
         def cache(kept: np.ndarray) -> PointsMotion:
             return PointsMotion(source, attribute, placement, len(points), kept)
 
-        return _Bound(
-            Surface(name, rest, _NO_TRIANGLES),
+        return Bound(
+            Surface(name, rest, NO_TRIANGLES),
             np.zeros((len(points), 0)),
             to_world,
             own_to_rest,
             own_to_rest,
             cache,
         )
-    surface = Surface(name, rest, _NO_TRIANGLES, RigidMotion(source, placement, anchor))
-    return _Bound(surface, np.zeros((len(points), 0)), to_world, own_to_rest, own_to_rest)
+    surface = Surface(name, rest, NO_TRIANGLES, RigidMotion(source, placement, anchor))
+    return Bound(surface, np.zeros((len(points), 0)), to_world, own_to_rest, own_to_rest)
 
 
-def _bind_to_joints(source: Source, prim: Usd.Prim, points: np.ndarray, binding: SkeletonBinding) -> _Bound:
+def _bind_to_joints(source: Source, prim: Usd.Prim, points: np.ndarray, binding: SkeletonBinding) -> Bound:
     skeleton = binding.skeleton
     influences = read_influences(source, binding, len(points))
     anchor = Anchor.of(skeleton.placement, source)
@@ -242,7 +226,7 @@ def _bind_to_joints(source: Source, prim: Usd.Prim, points: np.ndarray, binding:
         def deform(kept: np.ndarray) -> DeformedMotion:
             return DeformedMotion(skeleton, binding.query, points, kept, _blended(source, binding, points))
 
-        return _Bound(Surface(name, rest, _NO_TRIANGLES), attached, to_world, own_to_rest, bind_to_rest, deform)
+        return Bound(Surface(name, rest, NO_TRIANGLES), attached, to_world, own_to_rest, bind_to_rest, deform)
     blended = read_blend_shapes(source, binding, len(points), own_to_rest[:3, :3])
     shapes_, weights = blended if blended else (None, None)
     if shapes_ is not None:
@@ -251,8 +235,8 @@ def _bind_to_joints(source: Source, prim: Usd.Prim, points: np.ndarray, binding:
     if not influences.rigid:
         skinning = Skinning(influences.indices, influences.weights, influences.method)
     motion = SkinnedMotion(skeleton, anchor, influences.used, weights)
-    surface = Surface(name, rest, _NO_TRIANGLES, motion, skinning, shapes_)
-    return _Bound(surface, attached, to_world, own_to_rest, bind_to_rest)
+    surface = Surface(name, rest, NO_TRIANGLES, motion, skinning, shapes_)
+    return Bound(surface, attached, to_world, own_to_rest, bind_to_rest)
 
 
 def _blended(source: Source, binding: SkeletonBinding, points: np.ndarray) -> Callable[[float], np.ndarray] | None:
@@ -263,9 +247,8 @@ def _blended(source: Source, binding: SkeletonBinding, points: np.ndarray) -> Ca
     return lambda code: add_shapes(points, held, weights(code))
 
 
-def _keep(bound: _Bound, kept: np.ndarray, triangles: np.ndarray) -> Surface:
-    """The bound surface with only the points `kept`, and these triangles of them."""
-    surface = bound.surface
+def keep_points(surface: Surface, kept: np.ndarray, triangles: np.ndarray, motion: Motion) -> Surface:
+    """The surface with only the points `kept`, these triangles of them, and the motion that moves those."""
     skinning = surface.skinning
     if skinning is not None:
         skinning = replace(
@@ -282,7 +265,7 @@ def _keep(bound: _Bound, kept: np.ndarray, triangles: np.ndarray) -> Surface:
         triangles=triangles,
         skinning=skinning,
         blend_shapes=shapes_,
-        motion=bound.keep_motion(kept) if bound.keep_motion else surface.motion,
+        motion=motion,
     )
 
 
@@ -305,76 +288,6 @@ def _shape_rows(held: BlendShapes, point_count: int) -> np.ndarray:
     # Irrational factors: two points with different offsets have the same sum only by design.
     np.add.at(rows, held.point_indices, held.point_offsets * np.sqrt(2.0 + shape_of)[:, None])
     return rows
-
-
-def _read_polygons(source: Source, prim: Usd.Prim) -> _Polygons:
-    if prim.IsA(UsdGeom.TetMesh):
-        return _read_tet_surface(source, prim)
-    if not prim.IsA(UsdGeom.Mesh):
-        points, counts, indices = shapes.polygons(source, prim)
-        return _Polygons(points, counts, indices, np.arange(len(indices)), False, False, False)
-    mesh = UsdGeom.Mesh(prim)
-    for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
-        if attribute.ValueMightBeTimeVarying():
-            raise source.error("is animated", prim, attribute.GetName(), "the topology must not change")
-    points = values.steady_vectors(source, mesh.GetPointsAttr())
-    counts = values.integers(source, mesh.GetFaceVertexCountsAttr())
-    indices = values.integers(source, mesh.GetFaceVertexIndicesAttr())
-    if len(counts) and counts.min() < 0:
-        raise source.error("has a negative count", prim, "faceVertexCounts", "author counts of vertices")
-    if counts.sum() != len(indices):
-        raise source.error(
-            f"has {len(indices)} entries, faceVertexCounts add up to {int(counts.sum())}",
-            prim,
-            "faceVertexIndices",
-            "make the counts fit the indices",
-        )
-    check_indices(source, mesh.GetFaceVertexIndicesAttr(), indices, len(points))
-    holes = values.integers(source, mesh.GetHoleIndicesAttr())
-    solid = (counts >= 3) & ~np.isin(np.arange(len(counts)), holes)
-    # Faces keep their numbers (skinprim counts them): one that is left out keeps no vertices.
-    entries = np.nonzero(np.repeat(solid, counts))[0]
-    return _Polygons(
-        points,
-        np.where(solid, counts, 0),
-        indices[entries],
-        entries,
-        mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded,
-        mesh.GetSubdivisionSchemeAttr().Get() not in (UsdGeom.Tokens.none, None),
-        mesh.GetPointsAttr().ValueMightBeTimeVarying(),
-    )
-
-
-def _read_tet_surface(source: Source, prim: Usd.Prim) -> _Polygons:
-    """The faces of a TetMesh that are its surface: as authored, else as USD finds them."""
-    mesh = UsdGeom.TetMesh(prim)
-    points = values.steady_vectors(source, mesh.GetPointsAttr())
-    faces = values.vectors(source, mesh.GetSurfaceFaceVertexIndicesAttr()).astype(np.int64)
-    check_indices(source, mesh.GetSurfaceFaceVertexIndicesAttr(), faces, len(points))
-    if not len(faces):
-        faces = np.array(UsdGeom.TetMesh.ComputeSurfaceFaces(mesh, source.start), dtype=np.int64).reshape(-1, 3)
-    return _Polygons(
-        points,
-        np.full(len(faces), 3),
-        faces.ravel(),
-        np.arange(faces.size),
-        mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded,
-        False,
-        mesh.GetPointsAttr().ValueMightBeTimeVarying(),
-    )
-
-
-def check_indices(source: Source, attribute: Usd.Attribute, indices: np.ndarray, point_count: int) -> None:
-    """Raises InputError for an index that names no point, or that is animated."""
-    if attribute.ValueMightBeTimeVarying():
-        raise source.error("is animated", attribute.GetPrim(), attribute.GetName(), "the topology must not change")
-    if indices.size and (indices.min() < 0 or indices.max() >= point_count):
-        raise source.error(
-            f"names point {int(indices.min() if indices.min() < 0 else indices.max())} of {point_count}",
-            attribute.GetPrim(),
-            attribute.GetName(),
-            f"use 0 to {point_count - 1}",
-        )
 
 
 def _corners_of(

@@ -52,7 +52,7 @@ STRANDS = _apply("PhysicsCurvesDeformableSimAPI")
 @pytest.mark.parametrize(
     ("schemas", "more", "role", "supported", "collides"),
     [
-        (_apply("PhysicsVolumeDeformableSimAPI"), "", "flesh", False, True),
+        (_apply("PhysicsVolumeDeformableSimAPI"), "", "flesh", True, True),
         (_apply("PhysicsSurfaceDeformableSimAPI"), "", "cloth", False, True),
         (_apply("PhysicsCollisionAPI"), "", "collider", True, True),
         (_apply("PhysicsCollisionAPI"), "bool physics:collisionEnabled = 0", "skipped", True, False),
@@ -74,7 +74,7 @@ STRANDS = _apply("PhysicsCurvesDeformableSimAPI")
         ),
         ("", "", "skipped", True, False),
         ("", 'token plait:role = "collider"', "collider", True, True),
-        ("", 'token plait:role = "flesh"', "flesh", False, True),
+        ("", 'token plait:role = "flesh"', "flesh", True, True),
         ("", 'token plait:role = "sand"', "sand", False, False),
         (_apply("PhysicsCollisionAPI"), 'token plait:role = "none"', "skipped", True, False),
         (_apply("PhysicsVolumeDeformableSimAPI"), 'token plait:role = "collider"', "collider", True, True),
@@ -86,7 +86,7 @@ def test_meshes(schemas: str, more: str, role: str, supported: bool, collides: b
     thing = next(prim for prim in shot.prims if prim.path == "/Thing")
     assert (thing.role, thing.supported) == (role, supported)
     assert ("/Thing" in _colliders(shot.scene)) is collides
-    assert thing.recognised and (thing.reason or role in ("collider", "animated prop"))
+    assert thing.recognised and (thing.reason or role in ("collider", "flesh", "animated prop"))
 
 
 def test_a_body_above_gives_its_role(read) -> None:
@@ -155,7 +155,7 @@ def test_an_inactive_prim_is_not_there(read) -> None:
     assert read(_hair("active = false")).prims == ()
 
 
-def test_a_shot_without_strands_reads_no_skin(read) -> None:
+def test_a_shot_without_strands_or_flesh_reads_no_skin(read) -> None:
     """A mesh whose points would be refused is never read when nothing could collide with it."""
     broken = _mesh("Floor", _apply("PhysicsCollisionAPI")).replace("(9, 1, 0)", "(nan, 1, 0)")
     shot = read(broken)

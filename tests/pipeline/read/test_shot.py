@@ -110,7 +110,7 @@ def test_unsupported_roles_are_reported_not_refused(shared: Path) -> None:
     roles = {prim.path: (prim.role, prim.supported) for prim in shot.prims}
     assert roles["/World/CableA/sim"] == ("strands", True)
     assert roles["/World/Cloth/sim"] == ("cloth", False)
-    assert roles["/World/SoftA/sim"] == ("flesh", False)
+    assert roles["/World/SoftA/sim"] == ("flesh", True)
     cable = shot.scene.strands[0]
     np.testing.assert_allclose(cable.bend_stiffness, 0.0023561945, rtol=1e-6)
     np.testing.assert_allclose(cable.stretch_stiffness, 628.31853, rtol=1e-6)
