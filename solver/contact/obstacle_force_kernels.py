@@ -10,7 +10,8 @@ can search along a line. Where the held forces are those of the solve before, th
 exact, whatever the stiffness.
 """
 
-from __future__ import annotations
+from functools import cache, partial
+from types import SimpleNamespace
 
 import warp as wp
 
@@ -88,7 +89,8 @@ def evaluate_pushes(
 
     inertia: [1/s2] the inverse square of the time in which a force moves a mass.
     """
-    q = active[first + wp.tid()]
+    item = first + wp.tid()
+    q = active[item]
     y = point_at(points, q, x)
     held = stiffness_of(points, q, inertia)
     energy = ZERO
@@ -101,9 +103,9 @@ def evaluate_pushes(
             energy += one.energy
             force += one.pressure * planes.normal[slot] + one.traction
             total += one.stiffness
-    energy_out[q] = energy
-    force_out[q] = force
-    stiffness_out[q] = total
+    energy_out[item] = energy
+    force_out[item] = force
+    stiffness_out[item] = total
 
 
 @wp.kernel
@@ -163,3 +165,53 @@ def leave_planes(
                 planes.pressure[slot] = ZERO
                 planes.traction[slot] = wp.vec3d()
     deepest_out[item] = deepest
+
+
+@cache
+def tet_kernels(real: type) -> SimpleNamespace:
+    """Kernels `add_forces`, `add_stiffness`: what points feel, onto the tets they lie in, in `real`."""
+    kernel = partial(wp.kernel, module=f"plait_obstacles_{real.__name__}", enable_backward=False)
+    vec3, mat33 = wp.types.vector(3, real), wp.types.matrix((3, 3), real)
+
+    @kernel
+    def add_forces(
+        first: int,
+        tets: wp.array(dtype=wp.int32),
+        first_point: wp.array(dtype=wp.int32),
+        weights: wp.array(dtype=wp.vec4d),
+        force: wp.array(dtype=wp.vec3d),
+        tet_force: wp.array(dtype=vec3),
+    ):
+        """Onto corner a of tet t, at 4 t + a, the forces b_a f of its points; one of `tets` an item."""
+        item = first + wp.tid()
+        for a in range(4):
+            total = wp.vec3d()
+            for i in range(first_point[item], first_point[item + 1]):
+                total += weights[i][a] * force[i]
+            at = 4 * tets[item] + a
+            tet_force[at] = tet_force[at] + vec3(total)
+
+    @kernel
+    def add_stiffness(
+        first: int,
+        tets: wp.array(dtype=wp.int32),
+        first_point: wp.array(dtype=wp.int32),
+        weights: wp.array(dtype=wp.vec4d),
+        stiffness: wp.array(dtype=wp.mat33d),
+        tet_block: wp.array(dtype=mat33),
+    ):
+        """Onto pair k of corners (a, b) of tet t, at 10 t + k, the stiffness b_a b_b K of its points.
+
+        The pairs are (0, 0) to (3, 3), then (0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3).
+        """
+        item = first + wp.tid()
+        for a in range(4):
+            for b in range(a, 4):
+                total = wp.mat33d()
+                for i in range(first_point[item], first_point[item + 1]):
+                    total += weights[i][a] * weights[i][b] * stiffness[i]
+                k = wp.where(a == b, a, 3 + a + b + wp.where(a > 0, 1, 0))
+                at = 10 * tets[item] + k
+                tet_block[at] = tet_block[at] + mat33(total)
+
+    return SimpleNamespace(add_forces=add_forces, add_stiffness=add_stiffness)

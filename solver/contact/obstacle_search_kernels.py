@@ -270,6 +270,7 @@ def measure_travel(
 @wp.kernel
 def find_obstacle_planes(
     first: int,
+    first_point: int,
     anew: int,
     bodies: Bodies,
     travel: wp.array(dtype=wp.float64),
@@ -280,10 +281,10 @@ def find_obstacle_planes(
     before: ObstaclePlanes,
     planes: ObstaclePlanes,
 ):
-    """Planes of every point, one an item; `anew` forgets those already found in this substep.
+    """Planes of points from `first_point` on, one an item; `anew` forgets those already found in this substep.
 
     start, end: (node_count,) [m].  before: of the substep before."""
-    q = first + wp.tid()
+    q = first_point + first + wp.tid()
     if anew == 1:
         for k in range(SLOTS):
             planes.surface[q * SLOTS + k] = -1

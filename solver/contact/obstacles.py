@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,22 +10,17 @@ import warp as wp
 from plait.solver.contact.bodies import encloses_volume, rim_features
 from plait.solver.contact.collision_particles import CollisionParticles
 from plait.solver.contact.meeting_kernels import Bodies
-from plait.solver.contact.obstacle_force_kernels import evaluate_pushes, hold_forces, leave_planes
+from plait.solver.contact.obstacle_forces import ObstacleForces
 from plait.solver.contact.obstacle_search_kernels import (
     SLOTS,
     ObstaclePlanes,
     SkinPoints,
-    find_obstacle_planes,
     measure_travel,
 )
 from plait.solver.kinematics.colliders import Collider
 from plait.solver.model import Interval, Model
 from plait.solver.state import State
 
-# Solves in a substep, at most; fewer when no force changes by more than would move its plane by this part of the
-# distance kept from a surface.
-MAX_ROUNDS = 8
-LASTING = 0.05
 # Distance kept from a surface, as part of a tet's edge.
 REACH = 0.02
 PLANE_ARRAYS = {
@@ -49,9 +43,12 @@ class Obstacles:
 
     In each substep, after a first guess of where the bodies go:
 
-        if obstacles.begin_substep(substep, start, guess):     planes; False: nothing in reach
-            obstacles.alternate(start, position, inertia, solve)   with forces; `solve` asks `evaluate` for them
-            obstacles.end_substep(position)                    if the substep stands
+        if obstacles.begin_substep(substep, start, guess):     False: nothing in reach
+            for each body:
+                obstacles.bodies[b].alternate(start, position, reach, solve)
+            deepest = obstacles.end_substep(position)          if the substep stands
+
+    where `solve` minimises the body's energy with what `obstacles.bodies[b]` adds to it.
 
     Distances are float64; trees in float32 find the triangles. A point belongs on the side of a surface where it
     was last seen outside; what starts inside a solid meets it only after it has come out.
@@ -60,21 +57,19 @@ class Obstacles:
     """
 
     def __init__(self, model: Model, state: State, particles: CollisionParticles) -> None:
-        self._launcher, self._particles = model.launcher, particles
+        self.launcher, self.particles = model.launcher, particles
+        self.real = wp.float64 if model.settings.precision == "float64" else wp.float32
         self._kinematics = model.parts["kinematics"]
         self._exit_speed = model.settings.contact.exit_speed
-        self._points = self._hold_points(model, particles)
-        self._before, self._planes = (self._allocate(particles.count) for _ in range(2))
+        self.points = self._hold_points(model, particles)
+        self.before, self.planes = (self._allocate(particles.count) for _ in range(2))
         for name in KEPT:
-            state.arrays[f"obstacles/{name}"] = getattr(self._before, name)
-        device = model.launcher.device
-        count = particles.count
-        self.energy = wp.zeros(count, dtype=wp.float64, device=device)
-        self.force = wp.zeros(count, dtype=wp.vec3d, device=device)
-        self.stiffness = wp.zeros(count, dtype=wp.mat33d, device=device)
-        self.active = wp.zeros(0, dtype=wp.int32, device=device)
+            state.arrays[f"obstacles/{name}"] = getattr(self.before, name)
+        self.surfaces = self._hold_surfaces()
+        self.travel = wp.zeros(0, dtype=wp.float64, device=model.launcher.device)
+        self.exit_distance = 0.0
+        self.bodies = [ObstacleForces(self, b) for b in range(particles.layout.body_count)]
         self._tracked = True
-        self._surfaces = self._hold_surfaces()
 
     def begin_substep(self, substep: Interval, start: wp.array, position: wp.array) -> bool:
         """Finds the planes that bodies may meet between `start` and `position`, (node_count,) vec3d [m].
@@ -84,52 +79,22 @@ class Obstacles:
         near = self._find_near(substep, start, position)
         if not near:
             if self._tracked:
-                self._before.surface.fill_(-1)
+                self.before.surface.fill_(-1)
                 self._tracked = False
             return False
         self._face(near, substep)
-        self._exit_distance = self._exit_speed * substep.length
-        self._examine(start, position, anew=True)
+        self.exit_distance = self._exit_speed * substep.length
+        for body in self.bodies:
+            body.examine(start, position, anew=True)
         return True
-
-    def alternate(self, start: wp.array, position: wp.array, inertia: float, solve: Callable[[], None]) -> int:
-        """Solves, holds the forces found, looks for planes met on the way, again until the forces last.
-
-        solve: moves the bodies from `position`, in place, to where the forces of `evaluate` take them.
-        inertia: as for `evaluate`. Returns how often it solved, none where no plane was found.
-        """
-        for rounds in range(MAX_ROUNDS):
-            if not len(self.active):
-                return rounds
-            solve()
-            change = wp.empty(len(self.active), dtype=wp.float64, device=self._launcher.device)
-            inputs = [self.active, self._points, self._planes, inertia, position]
-            self._launcher.launch(hold_forces, len(self.active), inputs, [change], work_per_item=20)
-            lasts = float(change.numpy().max()) < LASTING
-            planes = len(self.active)
-            self._examine(start, position, anew=False)
-            if lasts and len(self.active) == planes:
-                return rounds + 1
-        return MAX_ROUNDS
-
-    def evaluate(self, position: wp.array, inertia: float) -> None:
-        """Brings `energy` [J], `force` [N] and `stiffness` [N/m] of the particles in `active` up to `position`.
-
-        inertia: [1/s2], 1 over the square of the time in which a force moves a mass: of (gamma h)^2.
-        """
-        inputs = [self.active, self._points, self._planes, inertia, position]
-        outputs = [self.energy, self.force, self.stiffness]
-        self._launcher.launch(evaluate_pushes, len(self.active), inputs, outputs, work_per_item=20)
 
     def end_substep(self, position: wp.array) -> float:
         """Keeps planes and forces for the next substep; how deep [m] a particle has been left under a surface."""
-        deepest = wp.zeros(len(self.active), dtype=wp.float64, device=self._launcher.device)
-        inputs = [self.active, self._points, position]
-        self._launcher.launch(leave_planes, len(self.active), inputs, [self._planes, deepest], work_per_item=10)
+        deepest = max(body.leave(position) for body in self.bodies)
         for name in KEPT:
-            wp.copy(getattr(self._before, name), getattr(self._planes, name))
+            wp.copy(getattr(self.before, name), getattr(self.planes, name))
         self._tracked = True
-        return float(deepest.numpy().max(initial=0.0))
+        return deepest
 
     # -- set-up --------------------------------------------------------------------------------------------
 
@@ -157,7 +122,7 @@ class Obstacles:
         return points
 
     def _allocate(self, count: int) -> ObstaclePlanes:
-        planes, device = ObstaclePlanes(), self._launcher.device
+        planes, device = ObstaclePlanes(), self.launcher.device
         for name, dtype in PLANE_ARRAYS.items():
             setattr(planes, name, wp.zeros(count * int(SLOTS), dtype=dtype, device=device))
         planes.surface.fill_(-1)
@@ -175,14 +140,14 @@ class Obstacles:
             points = np.asarray(collider.surface.points)
             self._solid[collider.index] = collider.closed and encloses_volume(points[held])
         surfaces.triangles = colliders.triangles
-        surfaces.rim = wp.array(np.concatenate(rims), dtype=wp.int32, device=self._launcher.device)
+        surfaces.rim = wp.array(np.concatenate(rims), dtype=wp.int32, device=self.launcher.device)
         return surfaces
 
     # -- a substep -----------------------------------------------------------------------------------------
 
     def _find_near(self, substep: Interval, start: wp.array, position: wp.array) -> list[Collider]:
         """Colliders that come near where some body goes."""
-        layout = self._particles.layout
+        layout = self.particles.layout
         ends = [start.numpy(), position.numpy()]
         found = {}
         for b in range(layout.body_count):
@@ -195,7 +160,7 @@ class Obstacles:
         return [found[index] for index in sorted(found)]
 
     def _face(self, near: list[Collider], substep: Interval) -> None:
-        kinematics, surfaces, device = self._kinematics, self._surfaces, self._launcher.device
+        kinematics, surfaces, device = self._kinematics, self.surfaces, self.launcher.device
 
         def hold(values: Any, dtype: type) -> wp.array:
             return wp.array(np.array(values), dtype=dtype, device=device)
@@ -215,14 +180,7 @@ class Obstacles:
         surfaces.points_start = kinematics.colliders.points[kinematics.start]
         surfaces.points_end = kinematics.colliders.points[kinematics.end]
         points = hold([(c.points.start, c.points.stop) for c in near], wp.vec2i)
-        self._travel = wp.zeros(len(near), dtype=wp.float64, device=device)
+        self.travel = wp.zeros(len(near), dtype=wp.float64, device=device)
         inputs = [points, surfaces.points_start, surfaces.points_end]
         work = max(c.deformer.count for c in near)
-        self._launcher.launch(measure_travel, len(near), inputs, [self._travel], work_per_item=work)
-
-    def _examine(self, start: wp.array, position: wp.array, *, anew: bool) -> None:
-        inputs = [int(anew), self._surfaces, self._travel, self._points, start, position, self._exit_distance]
-        outputs = [self._before, self._planes]
-        self._launcher.launch(find_obstacle_planes, self._particles.count, inputs, outputs, work_per_item=40)
-        has = (self._planes.surface.numpy().reshape(-1, int(SLOTS)) >= 0).any(axis=1)
-        self.active = wp.array(np.flatnonzero(has), dtype=wp.int32, device=self._launcher.device)
+        self.launcher.launch(measure_travel, len(near), inputs, [self.travel], work_per_item=work)
