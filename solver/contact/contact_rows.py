@@ -27,12 +27,14 @@ ROW_WORK, NODE_WORK = 8, 8
 class Contacts:
     """What may touch, as numpy arrays of `count` rows.
 
-    nodes: (count, n) int32 and weights: (count, n) float64, see `row_kernels`; zero weights are no part of a row.
+    nodes: (count, n) int32, weights, slip_weights: (count, n) float64, see `row_kernels`; where both weights are
+    zero a node is no part of the row.
     normal: (count, 3).  target: (count,) [m].  friction, restitution: (count,).  share: (count,) [kg].
     """
 
     nodes: np.ndarray
     weights: np.ndarray
+    slip_weights: np.ndarray
     normal: np.ndarray
     target: np.ndarray
     friction: np.ndarray
@@ -55,9 +57,10 @@ class ContactRows:
     def build(self, contacts: Contacts) -> None:
         """Takes up the contacts of a substep."""
         device = self._launcher.device
-        taking_part = contacts.weights != 0.0
+        taking_part = (contacts.weights != 0.0) | (contacts.slip_weights != 0.0)
         row, slot = np.nonzero(taking_part)
-        node, weight = contacts.nodes[row, slot], contacts.weights[row, slot]
+        node = contacts.nodes[row, slot]
+        weight, slip_weight = contacts.weights[row, slot], contacts.slip_weights[row, slot]
         self.count = len(contacts.nodes)
 
         def hold(values: np.ndarray, dtype: type) -> wp.array:
@@ -65,7 +68,8 @@ class ContactRows:
 
         rows = Rows()
         rows.offsets = hold(_offsets(taking_part.sum(axis=1)), wp.int32)
-        rows.node, rows.weight = hold(node, wp.int32), hold(weight, wp.float64)
+        rows.node = hold(node, wp.int32)
+        rows.weight, rows.slip_weight = hold(weight, wp.float64), hold(slip_weight, wp.float64)
         rows.normal = hold(contacts.normal, wp.vec3d)
         for name in ("target", "friction", "restitution", "share"):
             setattr(rows, name, hold(getattr(contacts, name), wp.float64))
@@ -74,6 +78,7 @@ class ContactRows:
         touched, counts = np.unique(node[order], return_counts=True)
         rows.nodes, rows.node_offsets = hold(touched, wp.int32), hold(_offsets(counts), wp.int32)
         rows.node_row, rows.node_weight = hold(row[order], wp.int32), hold(weight[order], wp.float64)
+        rows.node_slip_weight = hold(slip_weight[order], wp.float64)
         rows.inverse_mass = self._inverse_mass
         self._rows, self._touched = rows, len(touched)
         self._state = self._allocate()
@@ -86,7 +91,7 @@ class ContactRows:
         state, device = RowState(), self._launcher.device
         for name in ("compliance", "gap", "velocity", "approach"):
             setattr(state, name, wp.zeros(self.count, dtype=wp.float64, device=device))
-        for name in ("impulse", "change"):
+        for name in ("impulse", "change", "slip_change"):
             setattr(state, name, wp.zeros(self.count, dtype=wp.vec3d, device=device))
         return state
 
@@ -119,7 +124,7 @@ class ContactRows:
         self._spread(position)
 
     def _spread(self, of_nodes: wp.array) -> None:
-        inputs = [self._rows, self._state.change]
+        inputs = [self._rows, self._state]
         self._launcher.launch(spread_impulses, self._touched, inputs, [of_nodes], work_per_item=NODE_WORK)
 
 

@@ -2,7 +2,9 @@
 
 Row c stands for two points that may touch: u_c = sum_k w_ck v_k is how fast they part, x_c = sum_k w_ck x_k where
 one lies from the other. Weights of the one sum to 1, of the other to -1, so an impulse J_c on the first and -J_c
-on the second is sum_c w_ck J_c on node k: the linear momentum of the whole never changes.
+on the second is sum_c w_ck J_c on node k: the linear momentum of the whole never changes. Normal impulses act
+along the line between the two points; friction acts on both bodies in the second point (the first body's tet
+reaches there), or it would turn them: so neither changes the angular momentum.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ class Rows:
     offsets: wp.array(dtype=wp.int32)  # (row_count + 1,) into node, weight
     node: wp.array(dtype=wp.int32)
     weight: wp.array(dtype=wp.float64)
+    slip_weight: wp.array(dtype=wp.float64)  # of the first point, moved to where the second lies
     normal: wp.array(dtype=wp.vec3d)  # the direction in which the points part
     target: wp.array(dtype=wp.float64)  # [m] gap to keep
     friction: wp.array(dtype=wp.float64)  # Coulomb coefficient
@@ -30,6 +33,7 @@ class Rows:
     node_offsets: wp.array(dtype=wp.int32)  # (touched_count + 1,) into node_row, node_weight
     node_row: wp.array(dtype=wp.int32)
     node_weight: wp.array(dtype=wp.float64)
+    node_slip_weight: wp.array(dtype=wp.float64)
     inverse_mass: wp.array(dtype=wp.float64)  # (node_count,) [1/kg], zero for what is held
 
 
@@ -42,14 +46,23 @@ class RowState:
     velocity: wp.array(dtype=wp.float64)  # [m/s] along the normal, where the pass began
     approach: wp.array(dtype=wp.float64)  # [m/s] along the normal, where the first pass began
     impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] in this substep so far
-    change: wp.array(dtype=wp.vec3d)  # [kg m/s] of the last sweep
+    change: wp.array(dtype=wp.vec3d)  # [kg m/s] of the last sweep, along the normal
+    slip_change: wp.array(dtype=wp.vec3d)  # [kg m/s] and across it
 
 
 @wp.func
-def along(rows: Rows, c: int, of_nodes: wp.array(dtype=wp.vec3d)) -> wp.vec3d:
+def between(rows: Rows, c: int, of_nodes: wp.array(dtype=wp.vec3d)) -> wp.vec3d:
     total = wp.vec3d()
     for k in range(rows.offsets[c], rows.offsets[c + 1]):
         total += rows.weight[k] * of_nodes[rows.node[k]]
+    return total
+
+
+@wp.func
+def between_in_one_point(rows: Rows, c: int, of_nodes: wp.array(dtype=wp.vec3d)) -> wp.vec3d:
+    total = wp.vec3d()
+    for k in range(rows.offsets[c], rows.offsets[c + 1]):
+        total += rows.slip_weight[k] * of_nodes[rows.node[k]]
     return total
 
 
@@ -90,8 +103,8 @@ def begin_rows(
     """Gap and velocity of each row where an elastic solve took it; one row an item."""
     c = first + wp.tid()
     n = rows.normal[c]
-    u = wp.dot(n, along(rows, c, velocity))
-    state.gap[c] = wp.dot(n, along(rows, c, position))
+    u = wp.dot(n, between(rows, c, velocity))
+    state.gap[c] = wp.dot(n, between(rows, c, position))
     state.velocity[c] = u
     if first_pass == 1:
         state.impulse[c] = wp.vec3d()
@@ -113,31 +126,33 @@ def sweep_rows(
     """
     c = first + wp.tid()
     n = rows.normal[c]
-    u = along(rows, c, velocity)
-    un = wp.dot(n, u)
+    un = wp.dot(n, between(rows, c, velocity))
+    slip = between_in_one_point(rows, c, velocity)
     lack = (rows.target[c] - state.gap[c]) / displacement_per_velocity - (un - state.velocity[c])
     if rows.target[c] > state.gap[c] and rows.restitution[c] > ZERO:
         lack = wp.max(lack, -rows.restitution[c] * state.approach[c] - un)
     before = state.impulse[c]
     normal_before = wp.dot(n, before)
     normal_after = wp.max(normal_before + lack / state.compliance[c], ZERO)
-    tangential = before - normal_before * n - (u - un * n) / state.compliance[c]
+    tangential = before - normal_before * n - (slip - wp.dot(n, slip) * n) / state.compliance[c]
     most = rows.friction[c] * normal_after
     length = wp.length(tangential)
     if length > most:
         tangential = tangential * (most / length)
     after = normal_after * n + tangential
     state.impulse[c] = after
-    state.change[c] = after - before
+    state.change[c] = (normal_after - normal_before) * n
+    state.slip_change[c] = after - before - state.change[c]
 
 
 @wp.kernel
-def spread_impulses(first: int, rows: Rows, change: wp.array(dtype=wp.vec3d), velocity: wp.array(dtype=wp.vec3d)):
+def spread_impulses(first: int, rows: Rows, state: RowState, velocity: wp.array(dtype=wp.vec3d)):
     """v_k += sum_c w_ck J_c / m_k; one touched node an item, its rows in fixed order."""
     n = first + wp.tid()
     total = wp.vec3d()
     for k in range(rows.node_offsets[n], rows.node_offsets[n + 1]):
-        total += rows.node_weight[k] * change[rows.node_row[k]]
+        c = rows.node_row[k]
+        total += rows.node_weight[k] * state.change[c] + rows.node_slip_weight[k] * state.slip_change[c]
     node = rows.nodes[n]
     velocity[node] = velocity[node] + rows.inverse_mass[node] * total
 
@@ -154,6 +169,7 @@ def part_rows(
     """What moves a row towards the gap it wants by `factor` of what it lacks, times mass; one row an item."""
     c = first + wp.tid()
     n = rows.normal[c]
-    gap = wp.dot(n, along(rows, c, position))
+    gap = wp.dot(n, between(rows, c, position))
     state.gap[c] = gap
     state.change[c] = wp.max(wanted[c] - gap, ZERO) * factor / state.compliance[c] * n
+    state.slip_change[c] = wp.vec3d()

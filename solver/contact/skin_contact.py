@@ -96,7 +96,7 @@ class SkinContact:
         found = np.flatnonzero(self._touching.triangle.numpy() >= 0)
         if not len(found):
             return False
-        contacts = self._contacts(found)
+        contacts = self._contacts(found, start.numpy())
         if contacts is None:
             return False
         self._rows.build(contacts)
@@ -122,7 +122,7 @@ class SkinContact:
         ]
         self._launcher.launch(find_places, particles.count, inputs, [self._touching], work_per_item=50)
 
-    def _contacts(self, found: np.ndarray) -> Contacts | None:
+    def _contacts(self, found: np.ndarray, node_start: np.ndarray) -> Contacts | None:
         """Rows of the places found that may close within the substep."""
         particles = self._particles
         q = found // SLOTS
@@ -142,10 +142,13 @@ class SkinContact:
             v[near] for v in (q, corners, weights, normal, gap, a, b, kept)
         )
         self._kept = kept
-        theirs = weights[:, :, None] * particles.weights[corners]
+        theirs = (-weights[:, :, None] * particles.weights[corners]).reshape(len(q), -1)
+        own = particles.weights[q]
+        over_there = own + _weight_change(node_start[particles.nodes[q]], -gap[:, None] * normal)
         return Contacts(
             np.concatenate([particles.nodes[q], particles.nodes[corners].reshape(len(q), -1)], axis=1),
-            np.concatenate([particles.weights[q], -theirs.reshape(len(q), -1)], axis=1),
+            np.concatenate([own, theirs], axis=1),
+            np.concatenate([over_there, theirs], axis=1),
             normal,
             np.minimum(gap, kept),
             0.5 * (self._friction[a] + self._friction[b]),
@@ -192,6 +195,19 @@ def _touching(slots: int, device: wp.Device) -> Touching:
     touching.weights, touching.normal = (wp.zeros(slots, dtype=wp.vec3d, device=device) for _ in range(2))
     touching.gap = wp.zeros(slots, dtype=wp.float64, device=device)
     return touching
+
+
+def _weight_change(corners: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """(n, 4) what barycentric weights in tets, (n, 4, 3) [m], change by when their point moves by (n, 3) [m].
+
+    None where the tet is flat.
+    """
+    edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
+    size = np.abs(edges).max(axis=(1, 2))
+    solid = np.abs(np.linalg.det(edges)) > 1e-6 * size**3
+    edges[~solid] = np.eye(3)
+    change = np.linalg.solve(edges, shift[:, :, None])[:, :, 0] * solid[:, None]
+    return np.concatenate([-change.sum(axis=1, keepdims=True), change], axis=1)
 
 
 def _weld(particles: CollisionParticles) -> np.ndarray:

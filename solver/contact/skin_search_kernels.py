@@ -160,9 +160,9 @@ def outward_at(
 
 
 @wp.func
-def came_in_there(skins: Skins, before: Touching, q: int, triangle: int) -> bool:
+def came_in_there(skins: Skins, before: Touching, q: int, triangle: int, weights: wp.vec3d) -> bool:
     """Whether the particle touched this part of this skin in the substep before."""
-    c = skins.triangles[triangle]
+    x = interpolate(get_triangle(skins.triangles, skins.rest, triangle), weights)
     for k in range(SLOTS):
         known = before.triangle[q * SLOTS + k]
         if known == triangle:
@@ -170,9 +170,8 @@ def came_in_there(skins: Skins, before: Touching, q: int, triangle: int) -> bool
         if known >= 0:
             if skins.triangle_body[known] == skins.triangle_body[triangle]:
                 around = get_triangle(skins.triangles, skins.rest, known)
-                x = (skins.rest[c[0]] + skins.rest[c[1]] + skins.rest[c[2]]) / wp.float64(3.0)
                 y = interpolate(around, closest_point(around, x).weights)
-                if wp.length(x - y) <= skins.apart_at_rest:
+                if wp.length(x - y) <= DEEPEST * skins.cell:
                     return True
     return False
 
@@ -219,7 +218,7 @@ def place_on(
     if behind:
         if d > DEEPEST * skins.cell:
             return place
-        if not came_in_there(skins, before, q, triangle):
+        if not came_in_there(skins, before, q, triangle, nearest.weights):
             return place
     place.found = True
     place.triangle = triangle
@@ -229,12 +228,12 @@ def place_on(
 
 @wp.func
 def comes_before(a_gap: wp.float64, a_triangle: int, b_gap: wp.float64, b_triangle: int) -> bool:
-    return a_gap < b_gap or (a_gap == b_gap and a_triangle < b_triangle)
+    return wp.abs(a_gap) < wp.abs(b_gap) or (wp.abs(a_gap) == wp.abs(b_gap) and a_triangle < b_triangle)
 
 
 @wp.func
 def put(skins: Skins, touching: Touching, q: int, place: Place):
-    """Keeps a place among the particle's, the nearest of each skin and direction."""
+    """Keeps a place among the particle's: the nearest of each skin and direction; behind a skin, the nearest."""
     slot = wp.int32(-1)
     free = wp.int32(-1)
     last = q * SLOTS
@@ -246,7 +245,8 @@ def put(skins: Skins, touching: Touching, q: int, place: Place):
                 free = at
         else:
             same_skin = skins.triangle_body[t] == skins.triangle_body[place.triangle]
-            if same_skin and wp.dot(touching.normal[at], place.normal) > SAME:
+            both_behind = touching.gap[at] < ZERO and place.gap < ZERO
+            if same_skin and (both_behind or wp.dot(touching.normal[at], place.normal) > SAME):
                 slot = at
             if comes_before(touching.gap[last], touching.triangle[last], touching.gap[at], t):
                 last = at
@@ -262,6 +262,22 @@ def put(skins: Skins, touching: Touching, q: int, place: Place):
     touching.weights[slot] = place.weights
     touching.normal[slot] = place.normal
     touching.gap[slot] = place.gap
+
+
+@wp.func
+def drop_far_sides(skins: Skins, touching: Touching, q: int):
+    """A particle that lies before a skin is not behind another part of it, farther away: it looks through it."""
+    for k in range(SLOTS):
+        at = q * SLOTS + k
+        if touching.triangle[at] >= 0 and touching.gap[at] < ZERO:
+            for i in range(SLOTS):
+                other = touching.triangle[q * SLOTS + i]
+                if other >= 0:
+                    gap = touching.gap[q * SLOTS + i]
+                    same_skin = skins.triangle_body[other] == skins.triangle_body[touching.triangle[at]]
+                    if same_skin and gap >= ZERO and gap < -touching.gap[at]:
+                        touching.triangle[at] = -1
+                        break
 
 
 @wp.func
@@ -314,3 +330,4 @@ def find_places(
                 place = place_on(skins, position, normal, before, q, triangle, farthest)
                 if place.found:
                     put(skins, touching, q, place)
+    drop_far_sides(skins, touching, q)
