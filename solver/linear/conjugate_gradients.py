@@ -59,7 +59,11 @@ class ConjugateGradients:
         self._look_every = LOOK_EVERY_CUDA if device.is_cuda else 1
 
     def solve(self, tolerance: float, max_iterations: int, correction: Correction | None = None) -> int:
-        """Until |b - A x| <= tolerance |b|; the number of iterations."""
+        """Until |b - A x| <= tolerance |b|, or A proves not to be positive definite; the number of iterations.
+
+        Then x is what had been found before, which reduces b . x / 2 (Steihaug 1983), and `definite` is False.
+        """
+        self.definite = True
         self._begin()
         if correction is not None:
             correction.add(0)
@@ -70,6 +74,9 @@ class ConjugateGradients:
             parity = iteration % 2
             self._multiply()
             self._update[parity]()
+            if iteration % self._look_every == 0 and self.krylov.memory.numpy()[parity, 1] == 0.0:
+                self.definite = False
+                return iteration + 1
             if correction is not None:
                 correction.add(1 - parity)
         return max_iterations

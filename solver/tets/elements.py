@@ -79,6 +79,7 @@ def element_kernels(law: ElasticLaw, real: type) -> SimpleNamespace:
     semi_definite, projected(elements, position -> block_out): (10 tet_count,) mat33 [N/m], of pair k of `PAIRS` of
         tet t at 10 t + k, of a positive semi-definite stiffness: the cheap one of the law, or, also where it has
         none, the exact one with its negative eigenvalues made zero.
+    exact(elements, position -> block_out): the same, not projected: it may be indefinite.
     deformation(elements, position -> gradient_out): (tet_count,) mat33, F.
     `position`: (node_count,) vec3d [m].
     """
@@ -138,7 +139,7 @@ def element_kernels(law: ElasticLaw, real: type) -> SimpleNamespace:
         t = first + wp.tid()
         gradient_out[t] = deformation_gradient(elements, position, t)
 
-    projected = semi_definite = _projected_stiffness(law, real, deformation_gradient)
+    projected = semi_definite = _principal_stiffness(law, real, deformation_gradient, projected=True)
     if functions.semi_definite is not None:
         semi_definite = _cheap_stiffness(law, real, deformation_gradient)
     return SimpleNamespace(
@@ -147,6 +148,7 @@ def element_kernels(law: ElasticLaw, real: type) -> SimpleNamespace:
         deformation=deformation,
         semi_definite=semi_definite,
         projected=projected,
+        exact=_principal_stiffness(law, real, deformation_gradient, projected=False),
     )
 
 
@@ -220,17 +222,19 @@ def _cheap_stiffness(law: ElasticLaw, real: type, deformation_gradient: wp.Funct
     return semi_definite
 
 
-def _projected_stiffness(law: ElasticLaw, real: type, deformation_gradient: wp.Function) -> wp.Kernel:
+def _principal_stiffness(
+    law: ElasticLaw, real: type, deformation_gradient: wp.Function, *, projected: bool
+) -> wp.Kernel:
     """In a module of its own: many a run does not need it."""
     types, principal = element_types(real), principal_functions(real)
     mat33, Elements = types.mat33, types.Elements
     principal_hessian, decompose, block = LAWS[law](real).principal_hessian, principal.decompose, principal.block
     at_least = principal.at_least
-    module = f"{module_name(law, real)}_projected"
+    module = f"{module_name(law, real)}_{'projected' if projected else 'exact'}"
     write_blocks = _block_writer(real, module)
 
     @wp.kernel(enable_backward=False, module=module)
-    def projected(
+    def stiffness(
         first: int,
         elements: Elements,
         position: wp.array(dtype=wp.vec3d),
@@ -238,7 +242,9 @@ def _projected_stiffness(law: ElasticLaw, real: type, deformation_gradient: wp.F
     ):
         t = first + wp.tid()
         U, s, V = decompose(deformation_gradient(elements, position, t))
-        hessian = at_least(principal_hessian(s, elements.mu[t], elements.lam[t]), real(0.0))
+        hessian = principal_hessian(s, elements.mu[t], elements.lam[t])
+        if wp.static(projected):
+            hessian = at_least(hessian, real(0.0))
         g = wp.sqrt(elements.volume[t]) * elements.inverse_rest[t] * V
         write_blocks(
             block(hessian, U, g[0], g[0]),
@@ -251,4 +257,4 @@ def _projected_stiffness(law: ElasticLaw, real: type, deformation_gradient: wp.F
             block_out,
         )
 
-    return projected
+    return stiffness

@@ -25,6 +25,9 @@ LOOSE = 0.1
 MAX_LINEAR_ITERATIONS = 400
 # Beyond so many iterations, or with a tet squeezed to this part of its volume, the Hessian is projected exactly.
 CHEAP_ITERATIONS, SQUEEZED = 6, 0.2
+# A projected Hessian that leaves more than this part of the residual gives way to the exact one: near a minimum in
+# which tets are tangled, that alone converges (Longva et al. 2023, 'Pitfalls of projection').
+SLOW = 0.5
 # No displacement is worth another iteration below this part of the body's diagonal.
 STILL = 1e-7
 # A residual of so many times what rounding alone may leave is none.
@@ -178,10 +181,11 @@ class Newton:
         mat33 = element_types(self.real).mat33
         return wp.zeros(10 * self.tet_count, dtype=mat33, device=self._launcher.device)
 
-    def assemble(self, exactly: bool) -> None:
-        """The matrix at `position`, positive definite: cheap, or with the Hessian projected exactly."""
-        kernel = self._law.projected if exactly else self._law.semi_definite
-        work = tet_elements.PROJECTED_WORK if exactly else tet_elements.SEMI_DEFINITE_WORK
+    def assemble(self, hessian: str) -> None:
+        """The matrix at `position` from one of the Hessians of `element_kernels`: 'semi_definite', 'projected' or
+        'exact', only the last of which may be indefinite."""
+        kernel = getattr(self._law, hessian)
+        work = tet_elements.SEMI_DEFINITE_WORK if hessian == "semi_definite" else tet_elements.PROJECTED_WORK
         inputs = [self.elements, self._position]
         self._launcher.launch(kernel, self.tet_count, inputs, [self._tet_blocks], work_per_item=work)
         self.rows.assemble(self._tet_blocks, self.unknowns.weight)
@@ -199,16 +203,15 @@ class Newton:
     def minimise(self, here: Evaluation, reference: float, tolerance: float, max_iterations: int) -> Outcome:
         """From `position`, evaluated as `here`, until the residual is `tolerance` of `reference` [N]."""
         goal = max(tolerance * reference, self.rounding)
-        linear_iterations, exactly = 0, False
+        linear_iterations, hessian = 0, "semi_definite"
         for iteration in range(max_iterations):
             if here.residual <= goal:
                 return Outcome(True, iteration, linear_iterations, here.residual)
-            exactly = exactly or iteration >= CHEAP_ITERATIONS or here.least_volume < SQUEEZED
-            self.assemble(exactly)
-            krylov = self.gradients.krylov
-            wp.copy(krylov.residual, self.unknowns.residual)
+            if hessian == "semi_definite" and (iteration >= CHEAP_ITERATIONS or here.least_volume < SQUEEZED):
+                hessian = "projected"
             forcing = min(LOOSE, LOOSE * np.sqrt(here.residual / max(reference, here.residual)))
-            linear_iterations += self.gradients.solve(forcing, MAX_LINEAR_ITERATIONS)
+            taken, definite = self._find_direction(hessian, forcing)
+            linear_iterations += taken
             self._examine_direction()
             sums = self._direction_sums.numpy()
             longest, slope = float(np.sqrt(sums[:, 0].max())), float(sums[:, 1].sum())
@@ -217,10 +220,26 @@ class Newton:
             if found is None:
                 self._advance(0.0)
                 return Outcome(False, iteration + 1, linear_iterations, here.residual)
+            slow = found.residual > SLOW * here.residual
             here = found
             if longest <= self._still:
                 return Outcome(True, iteration + 1, linear_iterations, here.residual)
+            if slow and hessian == "projected":
+                hessian = "exact"
+            elif not definite:
+                hessian = "projected"
         return Outcome(here.residual <= goal, max_iterations, linear_iterations, here.residual)
+
+    def _find_direction(self, hessian: str, forcing: float) -> tuple[int, bool]:
+        """The displacement to try, in `gradients.krylov.solution`: iterations taken, and if the matrix is definite."""
+        krylov = self.gradients.krylov
+        self.assemble(hessian)
+        wp.copy(krylov.residual, self.unknowns.residual)
+        taken = self.gradients.solve(forcing, MAX_LINEAR_ITERATIONS)
+        print("    ", hessian, taken, self.gradients.definite)
+        if self.gradients.definite or taken > 1:
+            return taken, self.gradients.definite
+        return taken + self._find_direction("projected", forcing)[0], False
 
     def _search(self, here: Evaluation, slope: float) -> Evaluation | None:
         """Steps along the direction as far as energy falls enough; None if it falls nowhere.
