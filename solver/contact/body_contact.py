@@ -9,6 +9,7 @@ import warp as wp
 
 from plait.solver.contact.body_contact_kernels import take_up
 from plait.solver.contact.collision_particles import CollisionParticles
+from plait.solver.contact.obstacles import build_obstacles
 from plait.solver.contact.skin_contact import SkinContact
 from plait.solver.model import Interval, Model
 from plait.solver.state import State
@@ -40,6 +41,7 @@ class BodyContact:
     impulse: (node_count,) vec3d [kg m/s], what contact has given each node so far in this substep.
     cell_size: [m] of the grid; particles on the skins lie at most so far apart.
     particles: those.  inverse_mass: (node_count,) float64 [1/kg], zero for pinned nodes.
+    obstacles: contact with surfaces that no body carries, part of the elastic solve; None without such.
     """
 
     def __init__(self, model: Model, state: State, layout: TetLayout) -> None:
@@ -56,6 +58,7 @@ class BodyContact:
         self._velocity = wp.zeros_like(self.impulse)
         self.parts: list[ContactPart] = [SkinContact(model, state, self.particles, self.inverse_mass)]
         self._active: list[ContactPart] = []
+        self.obstacles = build_obstacles(model, state, self.particles)
 
     def begin_substep(self, substep: Interval, start: wp.array, position: wp.array) -> bool:
         """Whether anything may touch in this substep; if not, nothing has been changed or need be called.
@@ -90,7 +93,8 @@ class BodyContact:
 
     def end_frame(self) -> dict[str, Any]:
         """What each part has counted."""
-        return {key: value for part in self.parts for key, value in part.end_frame().items()}
+        parts = [*self.parts, self.obstacles] if self.obstacles is not None else self.parts
+        return {key: value for part in parts for key, value in part.end_frame().items()}
 
 
 def mean_cell_size(layout: TetLayout) -> float:

@@ -139,6 +139,28 @@ def hold_forces(
 
 
 @wp.kernel
+def find_struck(
+    first: int,
+    active: wp.array(dtype=wp.int32),
+    points: SkinPoints,
+    planes: ObstaclePlanes,
+    x: wp.array(dtype=wp.vec3d),
+    struck_out: wp.array(dtype=wp.int32),
+):
+    """1 where the nodes at x take an active point through a plane that held no force; one an item."""
+    item = first + wp.tid()
+    q = active[item]
+    y = point_at(points, q, x)
+    struck = wp.int32(0)
+    for k in range(SLOTS):
+        slot = q * SLOTS + k
+        if planes.surface[slot] >= 0 and planes.pressure[slot] == ZERO:
+            if planes.offset[slot] - wp.dot(planes.normal[slot], y) > LEFT * points.reach[q]:
+                struck = 1
+    struck_out[item] = struck
+
+
+@wp.kernel
 def leave_planes(
     first: int,
     active: wp.array(dtype=wp.int32),

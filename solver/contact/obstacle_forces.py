@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from plait.solver.contact.obstacle_force_kernels import evaluate_pushes, hold_forces, leave_planes, tet_kernels
+from plait.solver.contact.obstacle_force_kernels import (
+    evaluate_pushes,
+    find_struck,
+    hold_forces,
+    leave_planes,
+    tet_kernels,
+)
 from plait.solver.contact.obstacle_search_kernels import SLOTS, find_obstacle_planes
 
 if TYPE_CHECKING:
@@ -26,6 +32,7 @@ class ObstacleForces:
     """Contact of one body's particles with surfaces, as energy, forces and stiffness of the tets they lie in.
 
     active: (active_count,) int32, the particles that have planes, in the order of their tets.
+    rounds: how often the body has been solved with them in this substep.
     """
 
     def __init__(self, obstacles: Obstacles, body: int) -> None:
@@ -37,6 +44,7 @@ class ObstacleForces:
         self._weights = particles.weights[own]
         self._kernels = tet_kernels(obstacles.real)
         self._inertia = 0.0  # [1/s2] over the square of the reach
+        self.rounds = 0
         self._take(np.zeros(0, dtype=np.int64))
 
     @property
@@ -79,31 +87,37 @@ class ObstacleForces:
         self._take(np.flatnonzero((held.reshape(-1, slots) >= 0).any(axis=1)))
 
     def pushes(self, position: wp.array, reach: float) -> bool:
-        """Whether any force acts at `position`.
+        """Whether any force acts at `position`; makes ready for a solve.
 
-        reach: [s] the nodes' displacement over their change of velocity, of the solve to come.
+        reach: [s] the nodes' displacement over their change of velocity, in that solve.
         """
-        self._inertia = 1.0 / reach**2
+        self._inertia, self.rounds = 1.0 / reach**2, 0
         if not self.count:
             return False
         self._evaluate(position)
         return bool(np.any(self._force.numpy()))
 
-    def alternate(self, start: wp.array, position: wp.array, reach: float, solve: Callable[[], None]) -> int:
+    def strikes(self, position: wp.array) -> bool:
+        """Whether a surface that did not push before does at `position`: an impact, not lasting contact."""
+        struck = wp.zeros(self.count, dtype=wp.int32, device=self._launcher.device)
+        inputs = [self.active, self._shared.points, self._shared.planes, position]
+        self._launcher.launch(find_struck, self.count, inputs, [struck])
+        return bool(struck.numpy().any())
+
+    def alternate(self, start: wp.array, position: wp.array, solve: Callable[[], bool]) -> bool:
         """Solves, holds the forces found, looks for planes met on the way, again until the forces last.
 
-        solve: moves the body from `position`, in place, to where forces that change as these do take it.
-        Returns how often it solved; not at all where nothing pushes at `position`.
+        solve: moves the body from `position`, in place, to where forces that change as these do take it, and says
+        whether it converged. Returns whether the last did.
         """
-        if not self.pushes(position, reach):
-            return 0
-        for rounds in range(1, MAX_ROUNDS):
-            solve()
+        for _ in range(MAX_ROUNDS):
+            converged = solve()
+            self.rounds += 1
             planes, lasts = self.count, self._hold(position)
             self.examine(start, position)
             if lasts and self.count == planes:
-                return rounds
-        return MAX_ROUNDS
+                break
+        return converged
 
     def leave(self, position: wp.array) -> float:
         """Notes for the next substep how planes have been left; how deep [m] the deepest particle is."""

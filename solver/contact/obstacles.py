@@ -44,11 +44,12 @@ class Obstacles:
     In each substep, after a first guess of where the bodies go:
 
         if obstacles.begin_substep(substep, start, guess):     False: nothing in reach
-            for each body:
-                obstacles.bodies[b].alternate(start, position, reach, solve)
-            deepest = obstacles.end_substep(position)          if the substep stands
+            for each body that obstacles.bodies[b].pushes:
+                obstacles.bodies[b].alternate(start, position, solve)
+            deepest = obstacles.leave(position)
 
-    where `solve` minimises the body's energy with what `obstacles.bodies[b]` adds to it.
+    where `solve` minimises the body's energy with what `obstacles.bodies[b]` adds to it; then `retract`, if the
+    substep does not stand.
 
     Distances are float64; trees in float32 find the triangles. A point belongs on the side of a surface where it
     was last seen outside; what starts inside a solid meets it only after it has come out.
@@ -69,32 +70,49 @@ class Obstacles:
         self.travel = wp.zeros(0, dtype=wp.float64, device=model.launcher.device)
         self.exit_distance = 0.0
         self.bodies = [ObstacleForces(self, b) for b in range(particles.layout.body_count)]
-        self._tracked = True
+        self._tracked, self._left = True, False
 
     def begin_substep(self, substep: Interval, start: wp.array, position: wp.array) -> bool:
         """Finds the planes that bodies may meet between `start` and `position`, (node_count,) vec3d [m].
 
         False, with nothing launched, where no surface comes near.
         """
+        self._keep()
         near = self._find_near(substep, start, position)
-        if not near:
-            if self._tracked:
-                self.before.surface.fill_(-1)
-                self._tracked = False
-            return False
-        self._face(near, substep)
-        self.exit_distance = self._exit_speed * substep.length
-        for body in self.bodies:
-            body.examine(start, position, anew=True)
-        return True
+        if near:
+            self._face(near, substep)
+            self.exit_distance = self._exit_speed * substep.length
+            for body in self.bodies:
+                body.examine(start, position, anew=True)
+        elif self._tracked:
+            self.planes.surface.fill_(-1)
+            self._left = True
+        self._tracked = bool(near)
+        return self._tracked
 
-    def end_substep(self, position: wp.array) -> float:
-        """Keeps planes and forces for the next substep; how deep [m] a particle has been left under a surface."""
-        deepest = max(body.leave(position) for body in self.bodies)
-        for name in KEPT:
-            wp.copy(getattr(self.before, name), getattr(self.planes, name))
-        self._tracked = True
-        return deepest
+    def leave(self, position: wp.array) -> float:
+        """Ends a substep with the nodes at `position`; how deep [m] a particle has been left under a surface."""
+        self._left = True
+        return max(body.leave(position) for body in self.bodies)
+
+    def retract(self) -> None:
+        """As before `begin_substep`."""
+        self._left, self._tracked = False, True
+
+    def end_frame(self) -> dict[str, Any]:
+        """Counts of the last substep: particles with a surface near, and most solves that a body took."""
+        self._keep()
+        return {
+            "near_obstacles": sum(body.count for body in self.bodies),
+            "obstacle_rounds": max(body.rounds for body in self.bodies),
+        }
+
+    def _keep(self) -> None:
+        """Makes the planes of the substep that has passed those of the substep before."""
+        if self._left:
+            for name in KEPT:
+                wp.copy(getattr(self.before, name), getattr(self.planes, name))
+            self._left = False
 
     # -- set-up --------------------------------------------------------------------------------------------
 
@@ -184,3 +202,11 @@ class Obstacles:
         inputs = [points, surfaces.points_start, surfaces.points_end]
         work = max(c.deformer.count for c in near)
         self.launcher.launch(measure_travel, len(near), inputs, [self.travel], work_per_item=work)
+
+
+def build_obstacles(model: Model, state: State, particles: CollisionParticles) -> Obstacles | None:
+    """None where no surface collides but those that bodies carry."""
+    colliders = model.parts["kinematics"].colliders
+    if colliders is None or all(collider.carried for collider in colliders.items):
+        return None
+    return Obstacles(model, state, particles)

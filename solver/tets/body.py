@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -15,6 +15,9 @@ from plait.solver.tets.integrators import Scheme
 from plait.solver.tets.layout import TetLayout
 from plait.solver.tets.newton import Evaluation, Newton
 from plait.solver.tets.targets import Targets
+
+if TYPE_CHECKING:
+    from plait.solver.contact.obstacle_forces import ObstacleForces
 
 # A body is at rest where, left alone for a time of REST_TIME [s], it would move by this part of a tet's edge.
 REST, REST_TIME = {wp.float32: 1e-4, wp.float64: 1e-9}, 1.0 / 24.0
@@ -39,6 +42,8 @@ class BodySolver:
     """Advances body `index` of the layout. Of the stage's arrays, it touches those of its own nodes alone.
 
     A step is `begin`, `solve` as often as contact wants it, and `finish`; `retract` undoes it.
+
+    struck: whether the body has run into an obstacle in this step, and so forgets its past.
     """
 
     def __init__(
@@ -65,6 +70,7 @@ class BodySolver:
         self._rest_residual = max(rest, self.newton.rounding) if len(free) else 0.0
         young, density = np.max(self._body.youngs_modulus), np.mean(self._body.density)
         self._edge, self._wave = edge, float(np.sqrt(young / density))
+        self.struck = False
         self.tally = Tally()
 
     @property
@@ -77,6 +83,7 @@ class BodySolver:
         """Takes the present for the past, and pinned nodes to where the animation wants them."""
         self._kept_asleep = self.asleep
         self._skipped = self._kept_asleep and self._undisturbed(substep)
+        self.struck = False
         if not self._skipped:
             self._begin(substep, scheme)
 
@@ -85,6 +92,8 @@ class BodySolver:
             wp.copy(kept, array)
         self._asleep.fill_(0)
         self._time, self._reference = substep.end, None
+        if self.newton is not None:
+            self.newton.obstacles = None
         self.targets.place(substep.end)
         step = self._step
         step.start, step.before, step.reach = scheme.start, scheme.before, scheme.reach
@@ -98,12 +107,37 @@ class BodySolver:
         self.tally.steps += 1
 
     def solve(self) -> bool:
-        """The elastic step with the contact impulses so far; whether it converged."""
-        if self._skipped:
-            return True
-        converged = self.newton is None or self._minimise()
-        self._over_nodes(self._kernels.find_velocity)
+        """The elastic step with obstacles and the contact impulses so far; whether it converged."""
+        if self._skipped or self.newton is None:
+            converged = True
+        elif self.newton.obstacles is None:
+            converged = self._minimise()
+        else:
+            motion = self._motion
+            converged = self.newton.obstacles.alternate(motion.position_before, motion.position, self._minimise)
+        if not self._skipped:
+            self._over_nodes(self._kernels.find_velocity)
         return converged
+
+    def meet(self, obstacles: ObstacleForces, substep: Interval, scheme: Scheme) -> bool:
+        """Takes the step again if it led through obstacles; whether it converged.
+
+        By backward Euler where one is struck: the second-order scheme, told by its past of a motion that has
+        ended, would take the body off again with half of its speed.
+        """
+        if self.newton is None or not obstacles.pushes(self._motion.position, self._step.reach):
+            return True
+        if self._skipped:
+            self._skipped = False
+            self._begin(substep, scheme)
+        if self._step.before > 0.0 and obstacles.strikes(self._motion.position):
+            self.struck = True
+            step = self._step
+            step.start, step.before, step.reach = 1.0, 0.0, step.length
+            self._over_nodes(self._kernels.restart)
+            obstacles.pushes(self._motion.position, step.reach)
+        self.newton.obstacles = obstacles
+        return self.solve()
 
     def wake(self, substep: Interval, scheme: Scheme) -> None:
         """Steps after all, for contact has touched a body that was skipped, and moved it since `begin`."""
@@ -119,8 +153,9 @@ class BodySolver:
 
     def finish(self) -> None:
         """Makes what contact did part of the past."""
-        if not self._skipped:
-            self._over_nodes(self._kernels.absorb_contact)
+        if self._skipped:
+            return
+        self._over_nodes(self._kernels.forget if self.struck else self._kernels.absorb_contact)
 
     def retract(self) -> None:
         """All as it was before `begin`, bit for bit."""

@@ -98,6 +98,20 @@ def body_kernels(real: type) -> SimpleNamespace:
             motion_out.position[i] = motion_out.goal[i]
 
     @kernel
+    def restart(first: int, step: Step, motion_out: Motion):
+        """What the step's end is reckoned from, by backward Euler: without the past."""
+        i = step.first_node + first + wp.tid()
+        motion_out.base[i] = motion_out.position_before[i]
+        motion_out.base_velocity[i] = motion_out.velocity_before[i]
+
+    @kernel
+    def forget(first: int, step: Step, motion_out: Motion):
+        """The past becomes one in which the node had its present velocity."""
+        i = step.first_node + first + wp.tid()
+        motion_out.velocity_before[i] = motion_out.velocity[i]
+        motion_out.position_before[i] = motion_out.position[i] - step.length * motion_out.velocity[i]
+
+    @kernel
     def aim(first: int, step: Step, motion: Motion, unknowns_out: Unknowns):
         """Inertia with gravity and contact, mass damping and soft attachment, as one quadratic a node."""
         u = first + wp.tid()
@@ -211,6 +225,8 @@ def body_kernels(real: type) -> SimpleNamespace:
         drive=drive,
         boost=boost,
         begin=begin,
+        restart=restart,
+        forget=forget,
         aim=aim,
         residual=residual,
         examine_direction=examine_direction,

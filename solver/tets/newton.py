@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -16,6 +17,9 @@ from plait.solver.tets import elements as tet_elements
 from plait.solver.tets.body_kernels import body_kernels
 from plait.solver.tets.elements import body_elements, element_kernels, element_types, lame_parameters
 from plait.solver.tets.layout import TetLayout
+
+if TYPE_CHECKING:
+    from plait.solver.contact.obstacle_forces import ObstacleForces
 
 # Sufficient decrease; and the part of the slope that may remain where rounding hides the decrease.
 ARMIJO, CURVATURE = 1e-4, 0.9
@@ -60,6 +64,7 @@ class Newton:
 
     unknowns: struct `Unknowns` of `body_kernels`, whose weight and target say what to minimise.
     rows: the matrix of the unknowns.
+    obstacles: what surfaces in the body's way add to its energy, forces and stiffness; None for nothing.
     """
 
     def __init__(
@@ -92,6 +97,7 @@ class Newton:
         nodes = layout.rest[layout.nodes(body)]
         self._still = STILL * float(np.linalg.norm(np.ptp(nodes, axis=0)))
         self.rounding = ROUNDING * _rounding(layout, body, real)
+        self.obstacles: ObstacleForces | None = None
         self._prepare()
 
     def _prepare(self) -> None:
@@ -151,13 +157,15 @@ class Newton:
     def evaluate(self) -> Evaluation:
         """Forces at `position`."""
         self._find_forces()
+        if self.obstacles is not None:
+            self.obstacles.add_forces(self._position, self._force)
         self._find_least()
         self._find_residual()
         square, quadratic, work = self._sums.numpy().sum(axis=0)
         return Evaluation(float(np.sqrt(square)), float(quadratic), float(work), float(self._least.numpy().min()))
 
     def elastic_energy(self) -> float:
-        """[J] at `position`."""
+        """[J] at `position`, with that of obstacles."""
         inputs = [self.elements, self._position]
         self._launcher.launch(
             self._law.energy, self.tet_count, inputs, [self._energy], work_per_item=tet_elements.ENERGY_WORK
@@ -165,7 +173,8 @@ class Newton:
         chunk = chunk_size(self.tet_count, self._launcher.device)
         parts = self._energy_parts
         self._launcher.launch(self._kernels.total, len(parts), [chunk, self._energy], [parts])
-        return float(parts.numpy().sum())
+        of_obstacles = self.obstacles.energy(self._position) if self.obstacles is not None else 0.0
+        return float(parts.numpy().sum()) + of_obstacles
 
     @cached_property
     def _energy(self) -> wp.array:
@@ -188,6 +197,8 @@ class Newton:
         work = tet_elements.SEMI_DEFINITE_WORK if hessian == "semi_definite" else tet_elements.PROJECTED_WORK
         inputs = [self.elements, self._position]
         self._launcher.launch(kernel, self.tet_count, inputs, [self._tet_blocks], work_per_item=work)
+        if self.obstacles is not None:
+            self.obstacles.add_stiffness(self._tet_blocks)
         self.rows.assemble(self._tet_blocks, self.unknowns.weight)
 
     def _advance(self, fraction: float) -> None:

@@ -20,6 +20,9 @@ from plait.solver.tets.skin import Skin
 EVOLVING = ("position", "velocity", "position_before", "velocity_before", "external_impulse")
 SCRATCH = ("goal", "base", "base_velocity", "predicted", "contact_impulse")
 
+# What ends a substep deeper in an obstacle than this part of a cell asks for shorter ones.
+DEEPEST = 0.5
+
 
 def build(model: Model, state: State) -> TetStage | None:
     """The stage of the scene's bodies, at rest at `model.start_time`; None without bodies."""
@@ -99,32 +102,51 @@ class TetStage:
             body.begin(substep, scheme)
         stands = self._solve()
         if (stands or last_resort) and self._contact is not None:
-            self._meet(substep, scheme)
+            stands = self._meet(substep, scheme, last_resort)
         return stands or last_resort
 
     def retract(self, state: State, substep: Interval) -> None:
         self._past.fill_(self._kept_past)
         for body in self._bodies:
             body.retract()
+        if self._contact is not None and self._contact.obstacles is not None:
+            self._contact.obstacles.retract()
 
     def _solve(self) -> bool:
         return all([body.solve() for body in self._bodies])
 
-    def _meet(self, substep: Interval, scheme: Scheme) -> None:
-        """Contact after the elastic solve, its impulses fed back into another."""
+    def _meet(self, substep: Interval, scheme: Scheme, last_resort: bool) -> bool:
+        """Contact: with obstacles in another elastic solve, then with each other, in turns with elastic solves.
+
+        Does not stand where a solve did not converge, or something is left too deep in an obstacle.
+        """
         contact, motion = self._contact, self._motion
-        if not contact.begin_substep(substep, motion.position_before, motion.position):
-            return
-        for last in [False] * (self._model.settings.grid.passes - 1) + [True]:
-            contact.resolve(motion.position_before, motion.position, motion.velocity, scheme.reach)
-            wp.copy(motion.contact_impulse, contact.impulse)
-            for body in self._bodies:
-                body.wake(substep, scheme)
-            if not last:
-                self._solve()
-        contact.separate(motion.position)
-        for body in self._bodies:
+        obstacles, start, stands = contact.obstacles, motion.position_before, True
+        in_reach = obstacles is not None and obstacles.begin_substep(substep, start, motion.position)
+        if in_reach:
+            stands = all(
+                [
+                    body.meet(of_body, substep, scheme)
+                    for body, of_body in zip(self._bodies, obstacles.bodies, strict=True)
+                ]
+            )
+        if (stands or last_resort) and contact.begin_substep(substep, start, motion.position):
+            for last in [False] * (self._model.settings.grid.passes - 1) + [True]:
+                contact.resolve(start, motion.position, motion.velocity, scheme.reach)
+                wp.copy(motion.contact_impulse, contact.impulse)
+                for body in self._bodies:
+                    body.wake(substep, scheme)
+                if not last:
+                    stands = self._solve() and stands
+            contact.separate(motion.position)
+            in_contact = self._bodies
+        else:
+            in_contact = [body for body in self._bodies if body.struck]
+        for body in in_contact:
             body.finish()
+        if in_reach and obstacles.leave(motion.position) > DEEPEST * contact.cell_size:
+            stands = False
+        return stands
 
     def end_frame(self, state: State, frame: Interval) -> dict[str, Any]:
         """Iterations and energies of the frame; raises `Diverged` for a node that is not finite."""
