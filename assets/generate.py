@@ -58,7 +58,12 @@ def generate(folder: Path) -> Path:
     return top
 
 
-def write(path: Path, author: Callable[[Usd.Stage], None], sublayers: tuple[str, ...] = ()) -> None:
+def write(
+    path: Path,
+    author: Callable[[Usd.Stage], None],
+    sublayers: tuple[str, ...] = (),
+    frames: tuple[float, float] = (FIRST_FRAME, LAST_FRAME),
+) -> None:
     """One layer, written at once: what an older file of this name held plays no part."""
     layer = Sdf.Layer.CreateAnonymous(path.suffix)
     stage = Usd.Stage.Open(layer)
@@ -66,8 +71,8 @@ def write(path: Path, author: Callable[[Usd.Stage], None], sublayers: tuple[str,
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     stage.SetTimeCodesPerSecond(RATE)
     stage.SetFramesPerSecond(RATE)
-    stage.SetStartTimeCode(FIRST_FRAME)
-    stage.SetEndTimeCode(LAST_FRAME)
+    stage.SetStartTimeCode(frames[0])
+    stage.SetEndTimeCode(frames[1])
     author(stage)
     stage.SetDefaultPrim(stage.GetPrimAtPath(WORLD))
     del stage  # an anonymous layer cannot find its neighbours
@@ -235,6 +240,14 @@ def hair_colours(count: int) -> np.ndarray:
 def author_shot(stage: Usd.Stage) -> None:
     world = UsdGeom.Xform.Define(stage, WORLD)
     Usd.ModelAPI(world.GetPrim()).SetKind("assembly")
+    author_ground(stage)
+    UsdPhysics.Scene.Define(stage, WORLD.AppendChild("Physics"))
+    author_material(stage)
+    author_camera(stage)
+
+
+def author_ground(stage: Usd.Stage) -> None:
+    """A floor that things collide with."""
     ground = UsdGeom.Mesh.Define(stage, WORLD.AppendChild("Ground"))
     corners = [(-300.0, 0.0, -250.0), (-300.0, 0.0, 450.0), (300.0, 0.0, 450.0), (300.0, 0.0, -250.0)]
     ground.CreatePointsAttr([Gf.Vec3f(*corner) for corner in corners])
@@ -244,9 +257,6 @@ def author_shot(stage: Usd.Stage) -> None:
     ground.CreateExtentAttr([Gf.Vec3f(*corners[0]), Gf.Vec3f(*corners[2])])
     ground.CreateDisplayColorAttr([Gf.Vec3f(0.35, 0.36, 0.38)])
     UsdPhysics.CollisionAPI.Apply(ground.GetPrim())
-    UsdPhysics.Scene.Define(stage, WORLD.AppendChild("Physics"))
-    author_material(stage)
-    author_camera(stage)
 
 
 def author_camera(stage: Usd.Stage) -> None:
