@@ -242,12 +242,11 @@ class Newton:
         return Outcome(here.residual <= goal, max_iterations, linear_iterations, here.residual)
 
     def _find_direction(self, hessian: str, forcing: float) -> tuple[int, bool]:
-        """The displacement to try, in `gradients.krylov.solution`: iterations taken, and if the matrix is definite."""
+        """The displacement to try, in `gradients.krylov.solution`; iterations, and whether the matrix was definite."""
         krylov = self.gradients.krylov
         self.assemble(hessian)
         wp.copy(krylov.residual, self.unknowns.residual)
         taken = self.gradients.solve(forcing, MAX_LINEAR_ITERATIONS)
-        print("    ", hessian, taken, self.gradients.definite)
         if self.gradients.definite or taken > 1:
             return taken, self.gradients.definite
         return taken + self._find_direction("projected", forcing)[0], False
@@ -255,14 +254,14 @@ class Newton:
     def _search(self, here: Evaluation, slope: float) -> Evaluation | None:
         """Steps along the direction as far as energy falls enough; None if it falls nowhere.
 
-        A whole step that leaves a smaller residual in a body nowhere squeezed needs no energies. Where the
-        decrease is lost in rounding, the slope decides (Hager and Zhang 2005, 'approximate Wolfe').
+        A whole step that leaves a smaller residual in a body nowhere squeezed needs no energies; with obstacles,
+        which come and go, it might lead in a circle. Where the decrease is lost in rounding, the slope decides (Hager and Zhang 2005, 'approximate Wolfe').
         """
         fraction, energy = 1.0, None
         for _ in range(MAX_BACKTRACKS):
             self._advance(fraction)
             there = self.evaluate()
-            calm = min(here.least_volume, there.least_volume) > SQUEEZED
+            calm = self.obstacles is None and min(here.least_volume, there.least_volume) > SQUEEZED
             if fraction == 1.0 and calm and there.residual <= here.residual:
                 return there
             if energy is None:
