@@ -1,10 +1,9 @@
 """The body-centred cubic lattice: which tet a place lies in, by arithmetic alone.
 
-In units of the cell, with nodes at the corners of the unit cells and at their centres. Two neighbouring centres and
-an edge of the face between them make a tet: four tets a face, twelve a cell, all alike. Its faces lie in the planes
-x_i ± x_j = integer, so a lattice n times finer nests in it exactly: each tet is n³ of the finer ones.
-(Labelle & Shewchuk 2007, section 3.)
-"""
+In units of the cell, with nodes at the corners of the unit cells and at their centres. Two neighbouring centres
+and an edge of the face between them make a tet: four tets a face, twelve a cell, all alike. Its faces lie in the
+planes x_i ± x_j = integer, so a lattice n times finer nests in it exactly: each tet is n³ of the finer ones.
+(Labelle & Shewchuk 2007, section 3.)"""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """Arrays that take long to make, kept by what they were made from.
 
 In `$PLAIT_CACHE` (`off`: nothing is kept), else `$XDG_CACHE_HOME/plait`, else `~/.cache/plait`. A file is written
-aside and renamed, so that several runs at once never see half a one; one that does not match its own digest is made
-again.
-"""
+aside and renamed, so that several runs at once never see half a one; one that does not match its own digest is
+made again."""
 
 from __future__ import annotations
 

@@ -19,7 +19,8 @@ MAIN = 0.5
 
 @dataclass(frozen=True)
 class Core:
-    """pinned: (node_count,) bool, bone.  attached: (node_count,) bool, flesh of pieces that no bone goes through, to
+    """pinned: (node_count,) bool, bone.  attached: (node_count,) bool, flesh of pieces that no bone goes through,
+    to
     be held to the animated pose by springs.  notes: what a user should know, in words.
     """
 
@@ -41,9 +42,9 @@ def core(
     """Pins the nodes within `depth` of the way from a bone to the skin.
 
     points (point_count, 3), triangles (triangle_count, 3): the skin, which `embedding` places in the lattice.
-    weights: (node_count, joint_count), joint weights of the nodes.  joints: (joint_count, 3), at rest, in the space
-    of the points.  parents: (joint_count,) int, -1 for roots.
-    depth: of the way from the bone (0: all flesh) to the skin (1: all bone); a number, or one a point.
+    weights: (node_count, joint_count), joint weights of the nodes.  joints: (joint_count, 3), at rest, in the
+    space of the points.  parents: (joint_count,) int, -1 for roots. depth: of the way from the bone (0: all flesh)
+    to the skin (1: all bone); a number, or one a point.
 
     A bone goes from a joint to each of its children and belongs to the joint. Within one limb radius of a joint
     that bends (one with flesh of its own and of its parent's beside it) nothing is pinned, so that the flesh there

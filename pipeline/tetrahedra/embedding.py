@@ -32,10 +32,12 @@ def embed(points: np.ndarray, lattice: Lattice) -> tuple[Embedding, Extrapolatio
     them, or behind the closest face of the boundary, and then extrapolated, which the report counts.
     """
     points = np.asarray(points, dtype=np.float64)
+    tet = np.full(len(points), -1, dtype=np.int32)
     if lattice.skin_tet is not None and len(lattice.skin_tet) == len(points):
-        tet = lattice.skin_tet
-    else:
-        tet = locate(points, lattice)
+        tet = lattice.skin_tet.copy()
+    unknown = np.flatnonzero(tet < 0)
+    if len(unknown):
+        tet[unknown] = locate(points[unknown], lattice)
     weights = barycentric(lattice, tet, points)
     least = weights.min(axis=1, initial=0.0)
     outside = least < -1e-9

@@ -24,6 +24,41 @@ def signed_distance(
 
 
 @wp.kernel(enable_backward=False)
+def length_inside(
+    mesh: wp.uint64,
+    starts: wp.array(dtype=wp.vec3),
+    ends: wp.array(dtype=wp.vec3),
+    step: wp.float32,
+    share_out: wp.array(dtype=wp.float32),
+    middle_out: wp.array(dtype=wp.float32),
+):
+    """The part of a line that is inside, and the middle of the longest run of it, from 0 at the start to 1."""
+    i = wp.tid()
+    along = ends[i] - starts[i]
+    length = wp.length(along)
+    direction = along / length
+    start = wp.float32(0.0)
+    travelled = wp.float32(0.0)
+    total = wp.float32(0.0)
+    longest = wp.float32(0.0)
+    middle = wp.float32(0.0)
+    while travelled < length:
+        query = wp.mesh_query_ray(mesh, starts[i] + travelled * direction, direction, length - travelled)
+        end = wp.where(query.result, travelled + query.t, length)
+        place = starts[i] + 0.5 * (start + end) * direction
+        between = wp.mesh_query_point_sign_winding_number(mesh, place, FAR, ACCURACY, INSIDE)
+        if between.sign < 0.0:
+            total += end - start
+            if end - start > longest:
+                longest = end - start
+                middle = 0.5 * (start + end)
+        start = end
+        travelled = end + step
+    share_out[i] = total / length
+    middle_out[i] = middle / length
+
+
+@wp.kernel(enable_backward=False)
 def holding_tet(
     tree: wp.uint64,
     corners: wp.array(dtype=wp.vec3),
@@ -48,3 +83,45 @@ def holding_tet(
             best = tet
             best_least = least
     tet_out[i] = best
+
+
+@wp.kernel(enable_backward=False)
+def first_hit(
+    mesh: wp.uint64,
+    starts: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    face_out: wp.array(dtype=wp.int32),
+    distance_out: wp.array(dtype=wp.float32),
+):
+    """The triangle a ray meets first and how far away; -1 and nothing else for none."""
+    i = wp.tid()
+    query = wp.mesh_query_ray(mesh, starts[i], directions[i], FAR)
+    face_out[i] = wp.where(query.result, query.face, wp.int32(-1))
+    distance_out[i] = query.t
+
+
+@wp.kernel(enable_backward=False)
+def stays_inside(
+    mesh: wp.uint64,
+    starts: wp.array(dtype=wp.vec3),
+    ends: wp.array(dtype=wp.vec3),
+    step: wp.float32,
+    open_out: wp.array(dtype=wp.bool),
+):
+    """Whether a line between two places inside never leaves: it may cross skin that has inside behind it too."""
+    i = wp.tid()
+    along = ends[i] - starts[i]
+    length = wp.length(along)
+    direction = along / length
+    travelled = wp.float32(0.0)
+    inside = wp.bool(True)
+    while inside and travelled < length:
+        query = wp.mesh_query_ray(mesh, starts[i] + travelled * direction, direction, length - travelled)
+        if query.result:
+            travelled += query.t + step
+            place = starts[i] + travelled * direction
+            beyond = wp.mesh_query_point_sign_winding_number(mesh, place, FAR, ACCURACY, INSIDE)
+            inside = beyond.sign < 0.0 or travelled >= length
+        else:
+            travelled = length
+    open_out[i] = inside

@@ -15,12 +15,14 @@ class Lattice:
     """Tets that cover a skin.
 
     nodes: (node_count, 3) float64.  tets: (tet_count, 4) int32, positive volume.
-    skin_tet: (point_count,) int32, a tet that each point of the skin filled lies in; None for tets from elsewhere.
+    skin_tet: (point_count,) int32, a tet that each point of the skin filled lies in, -1 for points of no triangle.
+    share: (tet_count,) the part of each tet that is inside that skin, and its own. None for tets from elsewhere.
     """
 
     nodes: np.ndarray
     tets: np.ndarray
     skin_tet: np.ndarray | None = None
+    share: np.ndarray | None = None
 
 
 def volumes(lattice: Lattice) -> np.ndarray:
