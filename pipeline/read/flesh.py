@@ -138,6 +138,8 @@ def _filled(source: Source, body: Body, skin: Surface, given: Given) -> _Inner:
     else:
         lattice = fill(skin.points, skin.triangles, edge=given["tetEdge"], budget=int(given["tetBudget"]))
         part = fractions(lattice, skin.points, skin.triangles)
+        if np.ptp(part) == 0.0:  # a skin that has an inside has tets that are not all of them inside
+            source.warn("encloses no volume; it is taken as a slab as thick as its tets", body.prim, "points")
     embedding, report = embed(skin.points, lattice)
     if 2 * report.strong > len(skin.points):
         problem = f"its tets do not hold the mesh: {report.strong} of {len(skin.points)} points lie far outside"

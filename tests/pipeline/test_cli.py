@@ -6,16 +6,23 @@ import importlib.util
 import json
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from plait.pipeline.cli import main
 from plait.pipeline.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_USAGE
 
-_SPEC = importlib.util.spec_from_file_location("malformed", Path(__file__).parent / "read" / "malformed.py")
-malformed = importlib.util.module_from_spec(_SPEC)
-sys.modules.setdefault("malformed", malformed)
-_SPEC.loader.exec_module(malformed)
+
+def _load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).parent / "read" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules.setdefault(name, module)
+    spec.loader.exec_module(module)
+    return module
+
+
+malformed, malformed_flesh = _load("malformed"), _load("malformed_flesh")
 
 
 def arguments(case, folder: Path) -> list[str]:
@@ -31,7 +38,7 @@ def arguments(case, folder: Path) -> list[str]:
     return result
 
 
-@pytest.mark.parametrize("case", malformed.CASES, ids=lambda case: case.name)
+@pytest.mark.parametrize("case", (*malformed.CASES, *malformed_flesh.CASES), ids=lambda case: case.name)
 def test_malformed_input_is_refused_by_name_and_nothing_written(case, tmp_path, capfd):
     """Exit 2 or 5; one line on stderr that names file, prim and attribute; no output folder."""
     code = main(arguments(case, tmp_path))
@@ -43,8 +50,9 @@ def test_malformed_input_is_refused_by_name_and_nothing_written(case, tmp_path, 
     assert printed.out == ""
 
 
-def test_the_valid_shot_they_are_made_from_simulates(tmp_path):
-    case = malformed.Malformed("valid", ())
+@pytest.mark.parametrize("valid", [malformed.VALID, malformed_flesh.VALID], ids=["hair", "flesh"])
+def test_the_valid_shots_they_are_made_from_simulate(valid, tmp_path):
+    case = malformed.Malformed("valid", (), valid=valid)
     assert main([*arguments(case, tmp_path), "--preroll", "1"]) == EXIT_DONE
     assert (tmp_path / "out" / "result.usda").is_file()
 

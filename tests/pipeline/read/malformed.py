@@ -104,7 +104,8 @@ def Sphere "Ball" (
 class Malformed:
     """One spoilt shot.
 
-    edits: (what stands in VALID, what stands there instead).  prim, attribute: what the message must name.
+    edits: (what stands in the valid shot, what stands there instead).
+    prim, attribute: what the message must name.
     frames, config: how the shot is read.  usage: the command is at fault (exit 2), not the file (exit 5).
     """
 
@@ -115,9 +116,10 @@ class Malformed:
     frames: tuple[float, float] | None = None
     config: dict[str, Any] = field(default_factory=dict)
     usage: bool = False
+    valid: str = VALID
 
     def text(self) -> str:
-        result = VALID
+        result = self.valid
         for old, new in self.edits:
             assert result.count(old) == 1, f"{self.name}: {old!r} is there {result.count(old)} times"
             result = result.replace(old, new)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -12,10 +13,17 @@ from plait.pipeline.config import Config
 from plait.pipeline.errors import InputError, UsageError
 from plait.pipeline.read import read_shot
 
-_SPEC = importlib.util.spec_from_file_location("malformed", Path(__file__).with_name("malformed.py"))
-malformed = importlib.util.module_from_spec(_SPEC)
-sys.modules["malformed"] = malformed
-_SPEC.loader.exec_module(malformed)
+
+def _load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+malformed, malformed_flesh = _load("malformed"), _load("malformed_flesh")
+CASES = (*malformed.CASES, *malformed_flesh.CASES)
 
 
 def test_the_shot_that_is_spoilt_is_valid(tmp_path: Path) -> None:
@@ -26,11 +34,18 @@ def test_the_shot_that_is_spoilt_is_valid(tmp_path: Path) -> None:
     assert {surface.name for surface in shot.scene.surfaces} == {"/Body/Skin", "/Ball"}
 
 
-def test_there_are_forty() -> None:
-    assert len({case.name for case in malformed.CASES}) == len(malformed.CASES) >= 40
+def test_the_shot_of_flesh_that_is_spoilt_is_valid(tmp_path: Path) -> None:
+    path = malformed.Malformed("valid", (), valid=malformed_flesh.VALID).write(tmp_path)
+    shot = read_shot(path, Config())
+    assert shot.warnings == ()
+    assert [body.name for body in shot.scene.bodies] == ["/Body/Arm", "/Body/Belly"]
 
 
-@pytest.mark.parametrize("case", malformed.CASES, ids=lambda case: case.name)
+def test_each_has_its_name() -> None:
+    assert len({case.name for case in CASES}) == len(CASES) >= 100
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_refused_in_one_line(case, tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
     path = case.write(tmp_path)
     with pytest.raises(UsageError if case.usage else InputError) as refusal:
