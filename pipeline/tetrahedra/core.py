@@ -57,7 +57,9 @@ def core(
     owner = np.argmax(weights, axis=1)
     owned = np.take_along_axis(weights, owner[:, None], axis=1)[:, 0] >= MAIN
     away = _from_bones(lattice.nodes, owner, joints, parents)
-    share = away / np.maximum(away + below, 1e-300)
+    boned = np.isfinite(away)
+    share = np.full(len(away), np.inf)
+    share[boned] = away[boned] / np.maximum((away + below)[boned], 1e-300)
     pinned = owned & (below > 0.0) & (share < depths)
     folding = _near_bending_joints(lattice.nodes, inside, owner, joints, parents)
     pinned &= ~folding
