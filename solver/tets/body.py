@@ -183,7 +183,9 @@ class BodySolver:
                 return True
             self._reference = here.residual
             here = newton.start_from(self._motion.predicted, here)
-        outcome = newton.minimise(here, self._reference, settings.tolerance, settings.max_iterations)
+        outcome = newton.minimise(
+            here, self._reference, settings.tolerance, settings.max_iterations, self._step.reach
+        )
         self.tally.newton_iterations += outcome.iterations
         self.tally.linear_iterations += outcome.linear_iterations
         self.tally.unconverged += not outcome.converged
