@@ -2,8 +2,8 @@
 
 A tet's deformation gradient is F = [x1 - x0, x2 - x0, x3 - x0] B with B the inverse of the same matrix at rest,
 whose rows are the shape gradients g_1, g_2, g_3 (g_0 is minus their sum). With volume V, corner a feels -V P g_a.
-Positions are float64 and subtracted in float64; what follows is in `real`, but for the energy, which a line search
-needs to more digits than float32 has.
+Energy and forces are computed in float64, whatever `real` the rest is in: strains are small differences, which
+float32 leaves wrong by 1e-6 of the modulus, more than a body at rest may feel.
 """
 
 from functools import cache, partial
@@ -39,7 +39,7 @@ def element_types(real: type) -> SimpleNamespace:
         """A body's tets; constant."""
 
         nodes: wp.array(dtype=wp.vec4i)  # (tet_count,) into all nodes
-        inverse_rest: wp.array(dtype=mat33)  # (tet_count,) [1/m] B
+        inverse_rest: wp.array(dtype=wp.mat33d)  # (tet_count,) [1/m] B
         volume: wp.array(dtype=real)  # (tet_count,) [m3] at rest
         mu: wp.array(dtype=real)  # (tet_count,) [Pa] Lame's second parameter
         lam: wp.array(dtype=real)  # (tet_count,) [Pa] Lame's first parameter
@@ -56,7 +56,7 @@ def body_elements(layout: TetLayout, body: int, real: type, device: Any) -> Any:
     mu, lam = lame_parameters(layout.bodies[body].youngs_modulus, layout.bodies[body].poissons_ratio)
     out = types.Elements()
     out.nodes = wp.array(layout.tets[tets], dtype=wp.vec4i, device=device)
-    out.inverse_rest = wp.array(np.linalg.inv(edges), dtype=types.mat33, device=device)
+    out.inverse_rest = wp.array(np.linalg.inv(edges), dtype=wp.mat33d, device=device)
     for name, values in (("volume", layout.volume[tets]), ("mu", mu), ("lam", lam)):
         values = np.broadcast_to(values, len(corners))
         setattr(out, name, wp.array(np.ascontiguousarray(values), dtype=real, device=device))
@@ -80,24 +80,21 @@ def element_kernels(law: ElasticLaw, real: type) -> SimpleNamespace:
         tet t at 10 t + k, of a positive semi-definite stiffness: the cheap one of the law, or, also where it has
         none, the exact one with its negative eigenvalues made zero.
     exact(elements, position -> block_out): the same, not projected: it may be indefinite.
-    deformation(elements, position -> gradient_out): (tet_count,) mat33, F.
     `position`: (node_count,) vec3d [m].
     """
     types, functions = element_types(real), LAWS[law](real)
-    vec3, mat33, Elements = types.vec3, types.mat33, types.Elements
-    first_piola = functions.first_piola
-    energy_density = LAWS[law](wp.float64).energy_density
+    vec3, Elements = types.vec3, types.Elements
+    in_double = LAWS[law](wp.float64)
+    energy_density, first_piola = in_double.energy_density, in_double.first_piola
     module = module_name(law, real)
     kernel = partial(wp.kernel, enable_backward=False)
 
     @wp.func(module=module)
-    def edges_of(nodes: wp.vec4i, position: wp.array(dtype=wp.vec3d)):
-        x0 = position[nodes[0]]
-        return wp.matrix_from_cols(position[nodes[1]] - x0, position[nodes[2]] - x0, position[nodes[3]] - x0)
-
-    @wp.func(module=module)
     def deformation_gradient(elements: Elements, position: wp.array(dtype=wp.vec3d), t: int):
-        return mat33(edges_of(elements.nodes[t], position)) * elements.inverse_rest[t]
+        nodes = elements.nodes[t]
+        x0 = position[nodes[0]]
+        edges = wp.matrix_from_cols(position[nodes[1]] - x0, position[nodes[2]] - x0, position[nodes[3]] - x0)
+        return edges * elements.inverse_rest[t]
 
     @kernel(module=module)
     def energy(
@@ -107,7 +104,7 @@ def element_kernels(law: ElasticLaw, real: type) -> SimpleNamespace:
         energy_out: wp.array(dtype=wp.float64),
     ):
         t = first + wp.tid()
-        F = edges_of(elements.nodes[t], position) * wp.mat33d(elements.inverse_rest[t])
+        F = deformation_gradient(elements, position, t)
         density = energy_density(F, wp.float64(elements.mu[t]), wp.float64(elements.lam[t]))
         energy_out[t] = wp.float64(elements.volume[t]) * density
 
@@ -121,23 +118,13 @@ def element_kernels(law: ElasticLaw, real: type) -> SimpleNamespace:
     ):
         t = first + wp.tid()
         F = deformation_gradient(elements, position, t)
-        P = first_piola(F, elements.mu[t], elements.lam[t])
-        forces = -elements.volume[t] * elements.inverse_rest[t] * wp.transpose(P)
-        force_out[4 * t] = -(forces[0] + forces[1] + forces[2])
-        force_out[4 * t + 1] = forces[0]
-        force_out[4 * t + 2] = forces[1]
-        force_out[4 * t + 3] = forces[2]
-        dilation_out[t] = wp.determinant(F)
-
-    @kernel(module=module)
-    def deformation(
-        first: int,
-        elements: Elements,
-        position: wp.array(dtype=wp.vec3d),
-        gradient_out: wp.array(dtype=mat33),
-    ):
-        t = first + wp.tid()
-        gradient_out[t] = deformation_gradient(elements, position, t)
+        P = first_piola(F, wp.float64(elements.mu[t]), wp.float64(elements.lam[t]))
+        forces = -wp.float64(elements.volume[t]) * elements.inverse_rest[t] * wp.transpose(P)
+        force_out[4 * t] = -vec3(forces[0] + forces[1] + forces[2])
+        force_out[4 * t + 1] = vec3(forces[0])
+        force_out[4 * t + 2] = vec3(forces[1])
+        force_out[4 * t + 3] = vec3(forces[2])
+        dilation_out[t] = real(wp.determinant(F))
 
     projected = semi_definite = _principal_stiffness(law, real, deformation_gradient, projected=True)
     if functions.semi_definite is not None:
@@ -145,7 +132,6 @@ def element_kernels(law: ElasticLaw, real: type) -> SimpleNamespace:
     return SimpleNamespace(
         energy=energy,
         force=force,
-        deformation=deformation,
         semi_definite=semi_definite,
         projected=projected,
         exact=_principal_stiffness(law, real, deformation_gradient, projected=False),
@@ -203,9 +189,9 @@ def _cheap_stiffness(law: ElasticLaw, real: type, deformation_gradient: wp.Funct
         block_out: wp.array(dtype=mat33),
     ):
         t = first + wp.tid()
-        F = deformation_gradient(elements, position, t)
+        F = mat33(deformation_gradient(elements, position, t))
         Q, W = approximation(F, elements.mu[t], elements.lam[t])
-        gradients = wp.sqrt(elements.volume[t]) * elements.inverse_rest[t]
+        gradients = wp.sqrt(elements.volume[t]) * mat33(elements.inverse_rest[t])
         q = gradients * wp.transpose(Q)
         w = gradients * wp.transpose(W)
         write_blocks(
@@ -241,11 +227,11 @@ def _principal_stiffness(
         block_out: wp.array(dtype=mat33),
     ):
         t = first + wp.tid()
-        U, s, V = decompose(deformation_gradient(elements, position, t))
+        U, s, V = decompose(mat33(deformation_gradient(elements, position, t)))
         hessian = principal_hessian(s, elements.mu[t], elements.lam[t])
         if wp.static(projected):
             hessian = at_least(hessian, real(0.0))
-        g = wp.sqrt(elements.volume[t]) * elements.inverse_rest[t] * V
+        g = wp.sqrt(elements.volume[t]) * mat33(elements.inverse_rest[t]) * V
         write_blocks(
             block(hessian, U, g[0], g[0]),
             block(hessian, U, g[1], g[1]),
