@@ -80,10 +80,11 @@ def element_kernels(law: ElasticLaw, real: type) -> SimpleNamespace:
         tet t at 10 t + k, of a positive semi-definite stiffness: the cheap one of the law, or, also where it has
         none, the exact one with its negative eigenvalues made zero.
     exact(elements, position -> block_out): the same, not projected: it may be indefinite.
+    deformation(elements, position -> gradient_out): (tet_count,) mat33, F.
     `position`: (node_count,) vec3d [m].
     """
     types, functions = element_types(real), LAWS[law](real)
-    vec3, Elements = types.vec3, types.Elements
+    vec3, mat33, Elements = types.vec3, types.mat33, types.Elements
     in_double = LAWS[law](wp.float64)
     energy_density, first_piola = in_double.energy_density, in_double.first_piola
     module = module_name(law, real)
@@ -126,12 +127,23 @@ def element_kernels(law: ElasticLaw, real: type) -> SimpleNamespace:
         force_out[4 * t + 3] = vec3(forces[2])
         dilation_out[t] = real(wp.determinant(F))
 
+    @kernel(module=module)
+    def deformation(
+        first: int,
+        elements: Elements,
+        position: wp.array(dtype=wp.vec3d),
+        gradient_out: wp.array(dtype=mat33),
+    ):
+        t = first + wp.tid()
+        gradient_out[t] = mat33(deformation_gradient(elements, position, t))
+
     projected = semi_definite = _principal_stiffness(law, real, deformation_gradient, projected=True)
     if functions.semi_definite is not None:
         semi_definite = _cheap_stiffness(law, real, deformation_gradient)
     return SimpleNamespace(
         energy=energy,
         force=force,
+        deformation=deformation,
         semi_definite=semi_definite,
         projected=projected,
         exact=_principal_stiffness(law, real, deformation_gradient, projected=False),

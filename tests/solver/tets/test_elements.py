@@ -148,12 +148,14 @@ def test_affine_patch(law, real, tolerance):
 
 
 @precisions
-def test_dilation(real, tolerance):
-    """J of an affine map is its determinant, negative for a mirror."""
+def test_deformation_gradient_and_dilation(real, tolerance):
+    """F of an affine map is its matrix, J its determinant, negative for a mirror."""
     box = Elements(real=real)
     A = np.array([[1.2, 0.1, -0.2], [0.05, 0.9, 0.1], [0.1, -0.15, -1.1]])
     _, J = box.run("force", box.rest @ A.T, (4, box.types.vec3), (1, real))
+    (F,) = box.run("deformation", box.rest @ A.T, (1, box.types.mat33))
     assert np.abs(J - np.linalg.det(A)).max() < tolerance
+    assert np.abs(F - A).max() < tolerance
 
 
 def test_lame_parameters():
