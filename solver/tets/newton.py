@@ -279,7 +279,7 @@ class Newton:
     def _find_direction(
         self, hessian: str, forcing: float, correction: CoarseCorrection | None
     ) -> tuple[int, bool]:
-        """The displacement to try, into `gradients.krylov.solution`; iterations, and if the matrix was definite."""
+        """The displacement to try, into `krylov.solution`; iterations, and whether the matrix was definite."""
         krylov = self.gradients.krylov
         self.assemble(hessian)
         wp.copy(krylov.residual, self.unknowns.residual)
