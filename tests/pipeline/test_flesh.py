@@ -150,6 +150,7 @@ def test_a_free_tet_mesh_falls(result):
     """Nothing near it: its centre of mass goes g t^2 / 2 down but for the step, h g t / 2 at most.
 
     A tet shares its mass among its nodes; the second has twice the volume. 1e-5 of the way, for float32: 2e-4 cm.
+    Speeds to the 1e-3 that Newton's method is left at: .04 cm/s of 41.
     """
     stage = Usd.Stage.Open(str(result))
     mass = np.array([1.0, 3.0, 3.0, 3.0, 2.0]) / 12.0
@@ -159,7 +160,7 @@ def test_a_free_tet_mesh_falls(result):
         np.testing.assert_allclose(way[[0, 2]], 0.0, atol=2e-4)
         assert abs(way[1] + 981.0 * time**2 / 2.0) <= 981.0 * time * step / 2.0 + 2e-4
         np.testing.assert_allclose(
-            mass @ points(stage, BLOB, code, "velocities"), [0, -981.0 * time, 0], atol=1e-3
+            mass @ points(stage, BLOB, code, "velocities"), [0, -981.0 * time, 0], atol=0.04
         )
 
 
