@@ -23,7 +23,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 # A contact this many times as stiff as what it stops: less and it gives too far, more and the solve takes longer.
-STIFFER = wp.constant(wp.float64(10.0))
+STIFFER = wp.constant(wp.float64(20.0))
 # A plane left by more than this part of the distance to keep has let go.
 LEFT = wp.constant(wp.float64(0.1))
 
@@ -145,9 +145,13 @@ def find_struck(
     points: SkinPoints,
     planes: ObstaclePlanes,
     x: wp.array(dtype=wp.vec3d),
+    approach: wp.float64,
     struck_out: wp.array(dtype=wp.int32),
 ):
-    """1 where the nodes at x take an active point through a plane that held no force; one an item."""
+    """1 where the nodes at x take an active point through a plane that held no force; one an item.
+
+    approach: [m] of the point towards the surface in the substep, below which it does not count.
+    """
     item = first + wp.tid()
     q = active[item]
     y = point_at(points, q, x)
@@ -155,7 +159,8 @@ def find_struck(
     for k in range(SLOTS):
         slot = q * SLOTS + k
         if planes.surface[slot] >= 0 and planes.pressure[slot] == ZERO:
-            if planes.offset[slot] - wp.dot(planes.normal[slot], y) > LEFT * points.reach[q]:
+            nearer = wp.dot(planes.normal[slot], planes.anchor[slot] - y)
+            if wp.dot(planes.normal[slot], y) < planes.offset[slot] and nearer > approach:
                 struck = 1
     struck_out[item] = struck
 

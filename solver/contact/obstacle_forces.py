@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 # Solves in a substep, at most; fewer when no force changes by more than would move its plane by this part of the
 # distance kept from a surface.
 MAX_ROUNDS = 8
-LASTING = 0.05
+LASTING = 1e-3
+# [m/s] Surfaces met more slowly than this are not struck: what a bounce at half that speed rises is not seen.
+IMPACT_SPEED = 0.1
 # Cost of a point in units of `Launcher.launch`.
 SEARCH_WORK, FORCE_WORK = 40, 20
 
@@ -100,7 +102,8 @@ class ObstacleForces:
     def strikes(self, position: wp.array) -> bool:
         """Whether a surface that did not push before does at `position`: an impact, not lasting contact."""
         struck = wp.zeros(self.count, dtype=wp.int32, device=self._launcher.device)
-        inputs = [self.active, self._shared.points, self._shared.planes, position]
+        approach = IMPACT_SPEED * self._shared.length
+        inputs = [self.active, self._shared.points, self._shared.planes, position, approach]
         self._launcher.launch(find_struck, self.count, inputs, [struck])
         return bool(struck.numpy().any())
 

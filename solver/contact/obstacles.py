@@ -68,7 +68,7 @@ class Obstacles:
             state.arrays[f"obstacles/{name}"] = getattr(self.before, name)
         self.surfaces = self._hold_surfaces()
         self.travel = wp.zeros(0, dtype=wp.float64, device=model.launcher.device)
-        self.exit_distance = 0.0
+        self.length = self.exit_distance = 0.0  # [s], [m] of the substep
         self.bodies = [ObstacleForces(self, b) for b in range(particles.layout.body_count)]
         self._tracked, self._left = True, False
 
@@ -81,6 +81,7 @@ class Obstacles:
         near = self._find_near(substep, start, position)
         if near:
             self._face(near, substep)
+            self.length = substep.length
             self.exit_distance = self._exit_speed * substep.length
             for body in self.bodies:
                 body.examine(start, position, anew=True)

@@ -24,6 +24,8 @@ REST, REST_TIME = {wp.float32: 1e-4, wp.float64: 1e-9}, 1.0 / 24.0
 # A pinned node has jumped if it is further than this part of an edge, and of the way of an elastic wave, from
 # where its velocity would have taken it.
 JUMP, JUMP_WAVE = 0.5, 0.5
+# Friction shows what is left of the forces: with obstacles they are found to this part of the tolerance.
+WITH_OBSTACLES = 0.1
 HELD = ("position", "velocity", "position_before", "velocity_before", "external_impulse")
 
 
@@ -183,8 +185,9 @@ class BodySolver:
                 return True
             self._reference = here.residual
             here = newton.start_from(self._motion.predicted, here)
+        tolerance = settings.tolerance * (1.0 if newton.obstacles is None else WITH_OBSTACLES)
         outcome = newton.minimise(
-            here, self._reference, settings.tolerance, settings.max_iterations, self._step.reach
+            here, self._reference, tolerance, settings.max_iterations, self._step.reach
         )
         self.tally.newton_iterations += outcome.iterations
         self.tally.linear_iterations += outcome.linear_iterations
