@@ -150,7 +150,7 @@ def test_a_free_tet_mesh_falls(result):
     """Nothing near it: its centre of mass goes g t^2 / 2 down but for the step, h g t / 2 at most.
 
     A tet shares its mass among its nodes; the second has twice the volume. Places and speeds to the 1e-3 that
-    Newton's method is left at: of 14 cm and of 41 cm/s.
+    Newton's method is left at: of 14 cm and of 164 cm/s.
     """
     stage = Usd.Stage.Open(str(result))
     mass = np.array([1.0, 3.0, 3.0, 3.0, 2.0]) / 12.0
@@ -160,7 +160,7 @@ def test_a_free_tet_mesh_falls(result):
         np.testing.assert_allclose(way[[0, 2]], 0.0, atol=0.014)
         assert abs(way[1] + 981.0 * time**2 / 2.0) <= 981.0 * time * step / 2.0 + 0.014
         np.testing.assert_allclose(
-            mass @ points(stage, BLOB, code, "velocities"), [0, -981.0 * time, 0], atol=0.04
+            mass @ points(stage, BLOB, code, "velocities"), [0, -981.0 * time, 0], atol=0.16
         )
 
 
