@@ -114,6 +114,8 @@ class BodySolver:
             converged = True
         elif self.newton.obstacles is None:
             converged = self._minimise()
+            if self._whole is not None and not self.asleep:
+                self._restore_momenta()
         else:
             motion = self._motion
             converged = self.newton.obstacles.alternate(motion.position_before, motion.position, self._minimise)
@@ -186,13 +188,34 @@ class BodySolver:
             self._reference = here.residual
             here = newton.start_from(self._motion.predicted, here)
         tolerance = settings.tolerance * (1.0 if newton.obstacles is None else WITH_OBSTACLES)
-        outcome = newton.minimise(
-            here, self._reference, tolerance, settings.max_iterations, self._step.reach
-        )
+        outcome = newton.minimise(here, self._reference, tolerance, settings.max_iterations, self._step.reach)
         self.tally.newton_iterations += outcome.iterations
         self.tally.linear_iterations += outcome.linear_iterations
         self.tally.unconverged += not outcome.converged
         return outcome.converged
+
+    def _restore_momenta(self) -> None:
+        """Linear and angular momentum as at the start, but for gravity, mass damping and contact so far.
+
+        With T the torque of the contact impulses J where they acted, about the origin, what remains of T beside the
+        change of the centre's own angular momentum is spin.
+        """
+        whole, motion, step = self._whole, self._motion, self._step
+        start = whole.moments(motion.position_before, motion.velocity_before)
+        base = whole.moments(motion.base, motion.base_velocity)
+        contact = whole.moments(motion.position, self._contact_velocity())
+        damping = 1.0 / (1.0 + step.mass_damping * step.reach)
+        gravity = np.array(step.gravity)
+        change = damping * contact.mean_b
+        velocity = damping * (base.mean_b + step.reach * gravity) + change
+        centre = base.mean_a + step.reach * velocity
+        orbital = np.cross(centre, velocity) - np.cross(centre - step.reach * change, velocity - change)
+        torque = axial(contact.product) / whole.mass + np.cross(contact.mean_a, contact.mean_b)
+        spin = np.exp(-step.mass_damping * step.length) * axial(start.product)
+        spin = spin + whole.mass * (torque - orbital)
+        now = whole.moments(motion.base, motion.position)
+        rotation = rotation_with_spin(now.product, step.reach * spin)
+        whole.move(motion.position, now.mean_b, rotation, centre)
 
     def _check_finite(self, here: Evaluation) -> None:
         if np.isfinite(here.residual):
