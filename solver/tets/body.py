@@ -13,6 +13,7 @@ from plait.solver.model import Interval, Model
 from plait.solver.tets.body_kernels import body_kernels
 from plait.solver.tets.integrators import Scheme
 from plait.solver.tets.layout import TetLayout
+from plait.solver.tets.momentum import WholeBody, rotation_with_spin
 from plait.solver.tets.newton import Evaluation, Newton
 from plait.solver.tets.targets import Targets
 
@@ -60,6 +61,10 @@ class BodySolver:
         self._driven = wp.array(self.targets.driven, dtype=wp.int32, device=device)
         free = np.flatnonzero(~layout.pinned[self._nodes]).astype(np.int32) + self._nodes.start
         self.newton = Newton(layout, index, free, motion.position, model.launcher, real) if len(free) else None
+        self._whole: WholeBody | None = None
+        if not len(self.targets.driven):
+            self._whole = WholeBody(self._nodes, model.launcher)
+            self._ones = wp.ones(layout.node_count, dtype=wp.float64, device=device)
         self._arrays = [getattr(motion, name)[self._nodes] for name in HELD]
         self._kept = [wp.zeros_like(array) for array in self._arrays]
         self._step = self._kernels.types.Step()
@@ -113,9 +118,7 @@ class BodySolver:
         if self._skipped or self.newton is None:
             converged = True
         elif self.newton.obstacles is None:
-            converged = self._minimise()
-            if self._whole is not None and not self.asleep:
-                self._restore_momenta()
+            converged = self._minimise() if self._whole is None else self._minimise_free()
         else:
             motion = self._motion
             converged = self.newton.obstacles.alternate(motion.position_before, motion.position, self._minimise)
@@ -194,28 +197,27 @@ class BodySolver:
         self.tally.unconverged += not outcome.converged
         return outcome.converged
 
-    def _restore_momenta(self) -> None:
-        """Linear and angular momentum as at the start, but for gravity, mass damping and contact so far.
-
-        With T the torque of the contact impulses J where they acted, about the origin, what remains of T beside the
-        change of the centre's own angular momentum is spin.
-        """
+    def _minimise_free(self) -> bool:
+        """Minimises, then gives the body the momenta of its start, but for gravity, damping and contact so far."""
         whole, motion, step = self._whole, self._motion, self._step
-        start = whole.moments(motion.position_before, motion.velocity_before)
-        base = whole.moments(motion.base, motion.base_velocity)
-        contact = whole.moments(motion.position, self._contact_velocity())
+        contact = whole.moments(self._ones, motion.position, motion.contact_impulse)
+        converged = self._minimise()
+        if self.asleep:
+            return converged
+        start = whole.moments(motion.mass, motion.position_before, motion.velocity_before)
+        base = whole.moments(motion.mass, motion.base, motion.base_velocity)
         damping = 1.0 / (1.0 + step.mass_damping * step.reach)
-        gravity = np.array(step.gravity)
-        change = damping * contact.mean_b
-        velocity = damping * (base.mean_b + step.reach * gravity) + change
+        change = damping * contact.weight / base.weight * contact.mean_b
+        velocity = damping * (base.mean_b + step.reach * np.array(step.gravity)) + change
         centre = base.mean_a + step.reach * velocity
+        # Of the impulses' torque, what does not show in the centre's own angular momentum is spin.
         orbital = np.cross(centre, velocity) - np.cross(centre - step.reach * change, velocity - change)
-        torque = axial(contact.product) / whole.mass + np.cross(contact.mean_a, contact.mean_b)
-        spin = np.exp(-step.mass_damping * step.length) * axial(start.product)
-        spin = spin + whole.mass * (torque - orbital)
-        now = whole.moments(motion.base, motion.position)
+        spin = np.exp(-step.mass_damping * step.length) * start.inner_cross
+        spin = spin + contact.cross - base.weight * orbital
+        now = whole.moments(motion.mass, motion.base, motion.position)
         rotation = rotation_with_spin(now.product, step.reach * spin)
         whole.move(motion.position, now.mean_b, rotation, centre)
+        return converged
 
     def _check_finite(self, here: Evaluation) -> None:
         if np.isfinite(here.residual):
