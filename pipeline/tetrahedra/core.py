@@ -15,13 +15,21 @@ from plait.solver.scene import Embedding
 DEPTH = 0.5
 # A joint's own part: nodes that it moves at least this much.
 MAIN = 0.5
+# A joint moves the flesh at all if some of it has this weight.
+MOVES = 0.1
+# Of a joint's bone, what must be left when the surroundings of bending joints are taken off; else less is.
+ENOUGH = 0.25
+SHORTENINGS = (1.0, 0.8, 0.65, 0.5, 0.35, 0.2, 0.0)
 
 
 @dataclass(frozen=True)
 class Core:
-    """pinned: (node_count,) bool, bone.  attached: (node_count,) bool, flesh of pieces that no bone goes through,
-    to
-    be held to the animated pose by springs.  notes: what a user should know, in words.
+    """What holds the flesh.
+
+    pinned: (node_count,) bool, bone.
+    attached: (node_count,) bool, flesh of joints and of pieces without bone, to be held to the animated pose by
+        springs.
+    notes: what a user should know, in words.
     """
 
     pinned: np.ndarray
@@ -42,34 +50,63 @@ def core(
     """Pins the nodes within `depth` of the way from a bone to the skin.
 
     points (point_count, 3), triangles (triangle_count, 3): the skin, which `embedding` places in the lattice.
-    weights: (node_count, joint_count), joint weights of the nodes.  joints: (joint_count, 3), at rest, in the
-    space of the points.  parents: (joint_count,) int, -1 for roots. depth: of the way from the bone (0: all flesh)
-    to the skin (1: all bone); a number, or one a point.
+    weights: (node_count, joint_count), joint weights of the nodes, rows sum to one.
+    joints: (joint_count, 3), at rest, in the space of the points.
+    parents: (joint_count,) int, each below the joint's own number, -1 for roots.
+    depth: of the way from the bone (0: all flesh) to the skin (1: all bone); a number, or one a point.
 
     A bone goes from a joint to each of its children and belongs to the joint. Within one limb radius of a joint
-    that bends (one with flesh of its own and of its parent's beside it) nothing is pinned, so that the flesh there
-    has room to fold. Joints with no bone within the skin (helmets, rigid parts) pin what lies deepest.
+    that bends (one with flesh on both sides of it) nothing is pinned, so that the flesh there has room to fold.
+    That distance is shortened for joints that it would leave with less than a quarter of their bone, as in a trunk
+    or a forearm of several twist joints. Joints without a bone in the flesh (heads, hands), and the only joint of
+    what is rigid, pin what lies deepest.
     """
     skin = prepare(points, triangles)
-    inside = Inside(skin.points, skin.triangles)
+    inside = Inside.of(skin)
     depths = _depths(lattice, embedding, depth)
-    below = np.maximum(-inside.query(lattice.nodes)[0], 0.0)
+    nodes = lattice.nodes
+    below = _finite(-inside.query(nodes)[0])
     owner = np.argmax(weights, axis=1)
-    owned = np.take_along_axis(weights, owner[:, None], axis=1)[:, 0] >= MAIN
-    away = _from_bones(lattice.nodes, owner, joints, parents)
-    boned = np.isfinite(away)
-    share = np.full(len(away), np.inf)
-    share[boned] = away[boned] / np.maximum((away + below)[boned], 1e-300)
-    pinned = owned & (below > 0.0) & (share < depths)
-    folding = _near_bending_joints(lattice.nodes, inside, owner, joints, parents)
-    pinned &= ~folding
-    for joint in np.unique(owner[owned]):
-        mine = owned & (owner == joint)
-        if not pinned[mine].any():
-            deepest = below[mine].max()
-            pinned |= mine & ~folding & (below > 0.0) & (below >= (1.0 - depths) * deepest) & (depths > 0.0)
+    owner = np.where(weights[np.arange(len(nodes)), owner] >= MAIN, owner, -1)
+    owners = np.unique(owner[owner >= 0])
+    bone = _bone(nodes, owner, below, depths, joints, parents, owners)
+    clearance = _clearance(nodes, inside, weights, joints, parents)
+    pinned = np.zeros(len(nodes), dtype=bool)
+    for joint in owners:
+        own = bone & (owner == joint)
+        for shortening in SHORTENINGS:
+            kept = own & (clearance >= shortening)
+            if kept.sum() >= ENOUGH * own.sum():
+                break
+        pinned |= kept
     pinned |= depths >= 1.0
-    return _hold_the_rest(lattice, pinned, depths)
+    meant = [joint for joint in owners if (depths[owner == joint] > 0.0).any()]
+    return _hold_the_rest(lattice, pinned, owner, meant)
+
+
+def _bone(
+    nodes: np.ndarray,
+    owner: np.ndarray,
+    below: np.ndarray,
+    depths: np.ndarray,
+    joints: np.ndarray,
+    parents: np.ndarray,
+    owners: np.ndarray,
+) -> np.ndarray:
+    """(node_count,) bool: deep enough to be bone. below: how far under the skin."""
+    away = _from_bones(nodes, owner, joints, parents)
+    if len(owners) == 1:
+        away[:] = np.inf
+    boned = np.isfinite(away) & (below > 0.0)
+    share = np.full(len(nodes), np.inf)
+    share[boned] = away[boned] / (away + below)[boned]
+    bone = share < depths
+    for joint in owners:
+        own = owner == joint
+        if not bone[own].any():
+            deep = below > (1.0 - depths) * below[own].max()
+            bone |= own & deep & (depths > 0.0)
+    return bone
 
 
 def _depths(lattice: Lattice, embedding: Embedding, depth: np.ndarray | float) -> np.ndarray:
@@ -99,31 +136,57 @@ def _to_segment(places: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.nd
     return np.linalg.norm(places - start - s[:, None] * along, axis=1)
 
 
-def _near_bending_joints(
-    nodes: np.ndarray, inside: Inside, owner: np.ndarray, joints: np.ndarray, parents: np.ndarray
+def _clearance(
+    nodes: np.ndarray, inside: Inside, weights: np.ndarray, joints: np.ndarray, parents: np.ndarray
 ) -> np.ndarray:
-    """(node_count,) bool: within one limb radius of a joint between two parts of the flesh."""
-    radius = np.maximum(-inside.query(joints)[0], 0.0)
-    result = np.zeros(len(nodes), dtype=bool)
-    for joint in np.flatnonzero((radius > 0.0) & (np.asarray(parents) >= 0)):
-        near = np.linalg.norm(nodes - joints[joint], axis=1) < radius[joint]
-        if len(np.unique(owner[near])) > 1:
-            result |= near
+    """(node_count,) distance to the closest joint that bends, in radii of the limb there."""
+    radius = _finite(-inside.query(joints)[0])
+    moving = weights.max(axis=0) > MOVES
+    beyond = moving.copy()  # joints with flesh of their own or of joints below them
+    for joint in range(len(parents) - 1, -1, -1):  # parents come first
+        if parents[joint] >= 0:
+            beyond[parents[joint]] |= beyond[joint]
+    result = np.full(len(nodes), np.inf)
+    for joint in np.flatnonzero((radius > 0.0) & beyond & (np.asarray(parents) >= 0)):
+        if (moving & ~_subtree(joint, parents)).any():
+            result = np.minimum(result, np.linalg.norm(nodes - joints[joint], axis=1) / radius[joint])
     return result
 
 
-def _hold_the_rest(lattice: Lattice, pinned: np.ndarray, depths: np.ndarray) -> Core:
-    """Every connected piece is held by something: one without bone is attached whole."""
+def _subtree(joint: int, parents: np.ndarray) -> np.ndarray:
+    """(joint_count,) bool: the joint and all below it."""
+    result = np.zeros(len(parents), dtype=bool)
+    result[joint] = True
+    for other in range(joint + 1, len(parents)):
+        result[other] = parents[other] >= 0 and result[parents[other]]
+    return result
+
+
+def _finite(depth: np.ndarray) -> np.ndarray:
+    """How far under the skin; nothing is under a skin without an inside."""
+    return np.where(np.isfinite(depth), np.maximum(depth, 0.0), 0.0)
+
+
+def _hold_the_rest(lattice: Lattice, pinned: np.ndarray, owner: np.ndarray, owners: np.ndarray) -> Core:
+    """Flesh that would fall off its skeleton is attached: connected pieces without bone, and all that the boneless
+    among the joints `owners` move, which are meant to have some.
+    """
     tets = lattice.tets
     piece = components(len(lattice.nodes), np.concatenate([tets[:, [0, k]] for k in (1, 2, 3)]))
     held = np.bincount(piece, pinned) > 0
-    attached = ~held[piece]
+    boneless = [joint for joint in owners if not pinned[owner == joint].any()]
+    attached = (~held[piece] | np.isin(owner, boneless)) & ~pinned
     notes = []
     if not pinned.any():
         notes.append("no bone lies within the flesh: all of it is attached to the animated pose by springs")
-    elif attached.any():
+    elif not held.all():
         notes.append(
             f"{int((~held).sum())} of {len(held)} pieces of flesh have no bone within: they are attached to the "
             "animated pose by springs"
+        )
+    elif boneless:
+        notes.append(
+            f"{len(boneless)} of {len(owners)} joints have no bone within their flesh, which is attached to the "
+            "animated pose by springs: finer tets would hold some"
         )
     return Core(pinned, attached, tuple(notes))

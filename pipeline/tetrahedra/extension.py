@@ -8,15 +8,14 @@ from plait.pipeline.tetrahedra.bcc import EDGES
 from plait.pipeline.tetrahedra.mesh import FACES, Lattice, volumes
 from plait.solver.scene import Embedding
 
-TOLERANCE = 1e-8
+TOLERANCE = 1e-7
 MAX_ITERATIONS = 2000
 # Weight of the skin's values against smoothness, in units of the Laplacian's mean diagonal.
-HOLD = 1e3
+HOLD = 1e2
 
 
 def extend(lattice: Lattice, embedding: Embedding, values: np.ndarray) -> np.ndarray:
-    """(node_count, k) float64: the values at the nodes whose embedding gives `values` (point_count, k) at the
-    skin.
+    """Values at the nodes, (node_count, k) float64, whose embedding gives `values` (point_count, k) at the skin.
 
     An affine function is split off first and carried exactly. The rest minimises the Dirichlet energy of linear
     tets plus the squared error at the skin (Jacobson 2011's harmonic weights, with the skin between the nodes).
@@ -29,8 +28,7 @@ def extend(lattice: Lattice, embedding: Embedding, values: np.ndarray) -> np.nda
 
 
 def influences(weights: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The `count` largest joint weights of each node, (n, count) int32 joints and (n, count) float64, rows sum to
-    1.
+    """The `count` largest joint weights of each node: (n, count) int32 joints, (n, count) float64, rows sum to 1.
 
     weights: (n, joint_count), of any sign; negative ones are none.
     """

@@ -32,12 +32,47 @@ def fill(points: np.ndarray, triangles: np.ndarray, *, edge: float | None = None
     skin = prepare(points, triangles)
     inside = Inside.of(skin)
     if edge is None:
-        edge = _edge_for(skin, inside, budget)
-    cover = lay(skin.points, edge / bcc.MEAN_EDGE)
-    pieces = samples.cut(skin, cover.places(skin.points), cover.grid)
-    names = _kept(inside, cover, pieces)
+        cover, pieces, names = _within_budget(skin, inside, budget)
+    else:
+        cover, pieces, names = _covered(skin, inside, edge / bcc.MEAN_EDGE)
     copies = splitting.copies(skin, inside, cover, pieces, names)
     return _lattice(skin, inside, cover, pieces, names, copies)
+
+
+def _covered(skin: Skin, inside: Inside, cell: float) -> tuple[Cover, samples.Pieces, np.ndarray]:
+    """A lattice laid over the skin, the skin cut by it, and the sorted names of the tets kept."""
+    cover = lay(skin.points, cell)
+    pieces = samples.cut(skin, cover.places(skin.points), cover.grid)
+    return cover, pieces, np.unique(np.concatenate([pieces.tet, _middle_inside(inside, cover)]))
+
+
+def _within_budget(skin: Skin, inside: Inside, budget: int) -> tuple[Cover, samples.Pieces, np.ndarray]:
+    """`_covered` with the smallest cell found that takes at most `budget` tets.
+
+    The count goes as volume / cell³ + area / cell²: each count made tells the area for the next guess.
+    """
+    volume = skin.volume / bcc.TET_VOLUME
+    cell = skin.diagonal / 20.0
+    best, least, most = None, 0.0, np.inf
+    for _ in range(SEARCHES):
+        found = _covered(skin, inside, cell)
+        count = len(found[2])
+        if count > budget:
+            least = cell
+        else:
+            best, most = found, cell
+            if count >= (1.0 - BUDGET_SLACK) * budget:
+                break
+        filled = min(volume, 0.95 * count * cell**3)
+        guess = _cell_for((1.0 - 0.5 * BUDGET_SLACK) * budget, filled, count * cell**2 - filled / cell)
+        cell = guess if least < guess < most else 0.5 * (least + min(most, 4.0 * least))
+    return best if best is not None else _covered(skin, inside, 4.0 * cell)
+
+
+def _cell_for(count: float, volume: float, area: float) -> float:
+    """Where volume / cell³ + area / cell² = count."""
+    roots = np.roots([count, 0.0, -area, -volume])
+    return float(roots[np.abs(roots.imag) <= 1e-9 * np.abs(roots)].real.max())
 
 
 def _lattice(
@@ -68,11 +103,6 @@ def _pieces_with(node: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.isin(piece, piece[chosen]))
 
 
-def _kept(inside: Inside, cover: Cover, pieces: samples.Pieces) -> np.ndarray:
-    """Sorted names of the tets that hold some of the skin or have their middle inside."""
-    return np.unique(np.concatenate([pieces.tet, _middle_inside(inside, cover)]))
-
-
 def _middle_inside(inside: Inside, cover: Cover) -> np.ndarray:
     """Cells far from the skin are settled in blocks, those near it by each tet's centroid."""
     grid = cover.grid
@@ -92,23 +122,3 @@ def _middle_inside(inside: Inside, cover: Cover) -> np.ndarray:
 
 def _box(sides: np.ndarray) -> np.ndarray:
     return np.stack(np.meshgrid(*(np.arange(n) for n in sides), indexing="ij"), axis=-1).reshape(-1, 3)
-
-
-def _edge_for(skin: Skin, inside: Inside, budget: int) -> float:
-    """The mean edge at which the skin takes at most `budget` tets, and hardly fewer."""
-    edge = skin.diagonal / 20.0
-    low, high = 0.0, np.inf  # an edge with too many tets, one with few enough
-    for _ in range(SEARCHES):
-        cover = lay(skin.points, edge / bcc.MEAN_EDGE)
-        pieces = samples.cut(skin, cover.places(skin.points), cover.grid)
-        count = len(_kept(inside, cover, pieces))
-        if count > budget:
-            low = edge
-        else:
-            high = edge
-            if count >= (1.0 - BUDGET_SLACK) * budget:
-                break
-        # Between the square of the edge, of a thin sheet, and the cube.
-        wanted = edge * (count / ((1.0 - 0.5 * BUDGET_SLACK) * budget)) ** 0.4
-        edge = wanted if low < wanted < high else 0.5 * (low + min(high, 4.0 * low))
-    return high

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,6 +20,8 @@ SHEET = 1e-3
 FLAT = 1e-9
 # Points of a shell that are asked whether they lie in another.
 ASKED = 8
+# Places that one thread is given at least.
+LAUNCHED_TOGETHER = 10_000
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,7 @@ class Skin:
     welded: np.ndarray
     solid: np.ndarray
     flipped: int
+    volume: float
 
     @property
     def diagonal(self) -> float:
@@ -70,7 +75,8 @@ def prepare(points: np.ndarray, triangles: np.ndarray) -> Skin:
     solid = np.abs(volume) > np.where(closed, FLAT, SHEET) * area**1.5
     wrong = _inside_out(points[first], corners, shell, np.where(solid, volume, 0.0))
     turned = np.where(wrong[shell][:, None], corners[:, [0, 2, 1]], corners)
-    return Skin(points[first], turned.astype(np.int32), welded, solid[shell], int(wrong.sum()))
+    enclosed = float(np.where(wrong, -volume, volume)[solid].sum())
+    return Skin(points[first], turned.astype(np.int32), welded, solid[shell], int(wrong.sum()), enclosed)
 
 
 def shell_volumes(
@@ -216,4 +222,23 @@ class Inside:
         return wp.empty(count, dtype=kind, device="cpu")
 
     def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
-        wp.launch(kernel, dim=len(outputs[0]), inputs=[self._mesh.id, *inputs], outputs=outputs, device="cpu")
+        """Every place is asked about by itself, so threads share them; a launch lets go of Python meanwhile."""
+        count = len(outputs[0])
+        parts = min(count // LAUNCHED_TOGETHER, os.cpu_count() or 1) + 1
+        bounds = np.linspace(0, count, parts + 1).astype(int)
+
+        def launch(k: int) -> None:
+            part = slice(bounds[k], bounds[k + 1])
+            own = [value[part] if isinstance(value, wp.array) else value for value in inputs]
+            results = [value[part] for value in outputs]
+            size = bounds[k + 1] - bounds[k]
+            wp.launch(kernel, dim=size, inputs=[self._mesh.id, *own], outputs=results, device="cpu")
+
+        if not count:
+            return
+        if parts == 1:
+            launch(0)
+            return
+        wp.load_module(kernels, device="cpu")
+        with ThreadPoolExecutor(parts) as threads:
+            list(threads.map(launch, range(parts)))
