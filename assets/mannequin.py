@@ -57,18 +57,22 @@ def make(build: Build, triangles: int = 4000) -> Mannequin:
     return Mannequin(joints, points, faces, *blended_weights(points, faces, joints))
 
 
-def straight_walk(steps: int, stride: float = 66.0, period: float = 0.52, fat: float = 0.0) -> Choreography:
+def straight_walk(
+    steps: int, stride: float = 66.0, period: float = 0.52, fat: float = 0.0, first: str = "Right"
+) -> Choreography:
     """From standing, `steps` steps of `stride` [cm], one every `period` [s], the last to where the other foot is.
 
-    The right foot goes first. Heavier people hold their arms further out.
+    first: the foot that goes first. Heavier people hold their arms further out.
     """
     swings: dict[str, list[Swing]] = {"Left": [], "Right": []}
+    other = "Left" if first == "Right" else "Right"
     ball = next(joint.place[2] for joint in skeleton() if joint.name == "LeftToe")
     for step in range(steps):
-        side, sign = ("Right", -1.0) if step % 2 == 0 else ("Left", 1.0)
+        side = first if step % 2 == 0 else other
         start = 0.39 + step * period
         ahead = min(step + 1, steps - 1) * stride
-        swings[side].append(Swing(start, start + 0.9 * period, sign * FOOTPRINT_X, ball + ahead, 5.0))
+        x = FOOTPRINT_X if side == "Left" else -FOOTPRINT_X
+        swings[side].append(Swing(start, start + 0.9 * period, x, ball + ahead, 5.0))
     arms_out = np.radians(13.0 + 9.0 * max(fat, 0.0))
     return Choreography({side: tuple(own) for side, own in swings.items()}, walk.NEVER, arms_out, staff=False)
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -17,20 +19,33 @@ EXAMPLES = sorted(path for path in (Path(__file__).parents[1] / "examples").iter
 def load(folder: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(f"example_{folder.name}", folder / "example.py")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where its dataclasses look themselves up
     spec.loader.exec_module(module)
     return module
 
 
-@pytest.mark.parametrize("folder", EXAMPLES, ids=lambda folder: folder.name)
-def test_example_runs_and_holds(folder, tmp_path):
+def runs() -> list[Any]:
+    """Each example once; those that come in sizes small, and, slow, as large as their pages show them."""
+    found = []
+    for folder in EXAMPLES:
+        sized = "SIZES" in (folder / "example.py").read_text()
+        found.append(pytest.param(folder, "small" if sized else None, id=folder.name))
+        if sized:
+            found.append(pytest.param(folder, "default", id=f"{folder.name}-default", marks=pytest.mark.slow))
+    return found
+
+
+@pytest.mark.parametrize(("folder", "size"), runs())
+def test_example_runs_and_holds(folder, size, tmp_path):
     """`main` runs it, checks it and draws it; where nothing can be drawn it does the rest."""
     example = load(folder)
+    sized = {"size": size} if size else {}
     try:
         preview.probe()
     except PlaitError:
-        example.main(tmp_path, draw=False)
+        example.main(tmp_path, draw=False, **sized)
         return
-    example.main(tmp_path)
+    example.main(tmp_path, **sized)
     (picture,) = tmp_path.glob("*.jpg")
     assert picture.stat().st_size > 5_000
 
