@@ -15,13 +15,16 @@ from plait.solver.tets.integrators import Scheme
 from plait.solver.tets.layout import TetLayout
 from plait.solver.tets.momentum import WholeBody, rotation_with_spin
 from plait.solver.tets.newton import Evaluation, Newton
+from plait.solver.tets.recovery import Recovery
 from plait.solver.tets.targets import Targets
 
 if TYPE_CHECKING:
     from plait.solver.contact.obstacle_forces import ObstacleForces
 
 # A body is at rest where, left alone for a time of REST_TIME [s], it would move by this part of a tet's edge.
-REST, REST_TIME = {wp.float32: 1e-4, wp.float64: 1e-9}, 1.0 / 24.0
+REST, REST_TIME = {wp.float32: 1e-6, wp.float64: 1e-9}, 1.0 / 24.0
+# Rounding keeps a body that rests trembling, with residuals of so many times what it leaves in one evaluation.
+TREMBLE = 10.0
 # A pinned node has jumped if it is further than this part of an edge, and of the way of an elastic wave, from
 # where its velocity would have taken it.
 JUMP, JUMP_WAVE = 0.5, 0.5
@@ -39,6 +42,7 @@ class Tally:
     linear_iterations: int = 0
     unconverged: int = 0
     pops: int = 0
+    tangles: int = 0
 
 
 class BodySolver:
@@ -50,9 +54,17 @@ class BodySolver:
     """
 
     def __init__(
-        self, model: Model, layout: TetLayout, index: int, motion: Any, asleep: wp.array, real: type
+        self,
+        model: Model,
+        layout: TetLayout,
+        index: int,
+        motion: Any,
+        asleep: wp.array,
+        tangle: wp.array,
+        real: type,
     ) -> None:
-        """motion: struct `Motion` of `body_kernels`, of all nodes.  asleep: (1,) int32, part of the state."""
+        """motion: struct `Motion` of `body_kernels`, of all nodes.  asleep: (1,) int32 and tangle: the memory of
+        `Recovery`, parts of the state."""
         self._layout, self._nodes = layout, layout.nodes(index)
         self._body, self._settings, self._launcher = layout.bodies[index], model.settings.flesh, model.launcher
         self._motion, self._asleep = motion, asleep
@@ -65,6 +77,7 @@ class BodySolver:
         if not len(self.targets.driven):
             self._whole = WholeBody(self._nodes, model.launcher)
             self._ones = wp.ones(layout.node_count, dtype=wp.float64, device=device)
+        self._recovery = Recovery(layout, index, self.targets.driven, tangle, model.launcher, real)
         self._arrays = [getattr(motion, name)[self._nodes] for name in HELD]
         self._kept = [wp.zeros_like(array) for array in self._arrays]
         self._step = self._kernels.types.Step()
@@ -73,8 +86,7 @@ class BodySolver:
         self._step.gravity = wp.vec3d(*model.scene.gravity)
         mean_mass = float(layout.mass[free].mean()) if len(free) else 0.0
         edge = float(layout.edge[index])
-        rest = REST[real] * edge / REST_TIME**2 * mean_mass * np.sqrt(len(free))
-        self._rest_residual = max(rest, self.newton.rounding) if len(free) else 0.0
+        self._rest_residual = REST[real] * edge / REST_TIME**2 * mean_mass * np.sqrt(len(free))
         young, density = np.max(self._body.youngs_modulus), np.mean(self._body.density)
         self._edge, self._wave = edge, float(np.sqrt(young / density))
         self.struck = False
@@ -185,7 +197,9 @@ class BodySolver:
         here = newton.evaluate()
         if self._reference is None:
             self._check_finite(here)
-            if here.residual <= self._rest_residual:
+            self._recovery.watch(here.least_volume)
+            small = max(self._rest_residual, TREMBLE * here.rounding)
+            if here.residual <= small and self._momentum() <= small * self._step.length:
                 self._fall_asleep()
                 return True
             self._reference = here.residual
@@ -226,7 +240,30 @@ class BodySolver:
         bad |= ~np.isfinite(self._motion.base.numpy()[self._nodes]).all(axis=1)
         raise Diverged("position", self._layout.where(self._nodes.start + int(np.argmax(bad))), self._time)
 
+    # -- tangles ---------------------------------------------------------------------------------------------
+
+    def recover(self, time: float, past: float) -> None:
+        """Between steps, at `time` [s]: lets go what is tangled for good.  past: [s] length of the step before."""
+        motion, nodes = self._motion, self._nodes
+        arrays = [motion.position[nodes], motion.velocity[nodes]]
+        found = self._recovery.let_go(time, *arrays)
+        if found is None:
+            return
+        moved, position, velocity = found
+        arrays += [motion.position_before[nodes], motion.velocity_before[nodes]]
+        for array, values in zip(arrays, (position, velocity, position - past * velocity, velocity), strict=True):
+            held = array.numpy().copy()
+            held[moved] = values
+            array.assign(held)
+        self._asleep.fill_(0)
+        self.tally.tangles += 1
+
     # -- rest ------------------------------------------------------------------------------------------------
+
+    def _momentum(self) -> float:
+        """[kg m/s] 2-norm of the nodes' momenta at the start: a body that swings back would not move now either."""
+        velocity = self._motion.velocity_before[self._nodes].numpy()
+        return float(np.linalg.norm(self._layout.mass[self._nodes, None] * velocity))
 
     def _fall_asleep(self) -> None:
         """Nothing would move: nothing does, and nothing is computed until something happens to the body."""

@@ -133,15 +133,23 @@ def body_kernels(real: type) -> SimpleNamespace:
     def residual(first: int, chunk: int, incidence: Incidence, force: wp.array(dtype=vec3),
                  position: wp.array(dtype=wp.vec3d), direction: wp.array(dtype=vec3), unknowns_out: Unknowns,
                  sums_out: wp.array2d(dtype=wp.float64)):  # fmt: skip
-        """The force left on each unknown; per chunk: its square, the quadratic, its work along `direction`."""
+        """The force left on each unknown; per chunk: its square, the quadratic, its work along `direction`.
+
+        And the sum of the squares of the tets' forces, of which the residual is what does not cancel.
+        """
         c = first + wp.tid()
         square = wp.float64(0.0)
         energy = wp.float64(0.0)
         work = wp.float64(0.0)
+        size = wp.float64(0.0)
         for u in range(c * chunk, wp.min((c + 1) * chunk, unknowns_out.node.shape[0])):
             r = vec3()
+            squares = real(0.0)
             for k in range(incidence.first[u], incidence.first[u + 1]):
-                r += force[incidence.corner[k]]
+                f = force[incidence.corner[k]]
+                r += f
+                squares += wp.dot(f, f)
+            size += wp.float64(squares)
             away = unknowns_out.target[u] - position[unknowns_out.node[u]]
             weight = unknowns_out.weight[u]
             r += weight * vec3(away)
@@ -152,6 +160,7 @@ def body_kernels(real: type) -> SimpleNamespace:
         sums_out[c, 0] = square
         sums_out[c, 1] = energy
         sums_out[c, 2] = work
+        sums_out[c, 3] = size
 
     @kernel
     def examine_direction(first: int, chunk: int, unknowns: Unknowns, direction: wp.array(dtype=vec3),

@@ -39,7 +39,7 @@ FAR = 3.0
 # No displacement is worth another iteration below this part of the body's diagonal.
 STILL = 1e-7
 # A residual of so many times what rounding alone may leave is none.
-ROUNDING = 1.0
+ROUNDING = 0.5
 FORCE_WORK, GATHER_WORK = tet_elements.FORCE_WORK, 12
 
 
@@ -55,9 +55,14 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """At one place. residual: [N] 2-norm; quadratic: [J]; work: of the forces along the direction last found."""
+    """At one place.
+
+    residual: [N] 2-norm, and of it, rounding: what the arithmetic may leave.  quadratic: [J].
+    work: [J] of the forces along the direction last found.  least_volume: smallest J of the tets.
+    """
 
     residual: float
+    rounding: float
     quadratic: float
     work: float
     least_volume: float
@@ -100,7 +105,7 @@ class Newton:
         self._start = wp.zeros(count, dtype=wp.vec3d, device=device)
         nodes = layout.rest[layout.nodes(body)]
         self._still = STILL * float(np.linalg.norm(np.ptp(nodes, axis=0)))
-        self.rounding = ROUNDING * _rounding(layout, body, real)
+        self._rounding = ROUNDING * float(np.finfo(np.float32 if real == wp.float32 else np.float64).eps)
         self.obstacles: ObstacleForces | None = None
         self._material = _material(layout, body, node)
         self._mean_stiffness = float(self._material.stiffness.mean())
@@ -118,7 +123,7 @@ class Newton:
         self._dilation = wp.zeros(tets, dtype=self.real, device=device)
         chunk, tet_chunk = chunk_size(count, device), chunk_size(tets, device)
         chunks, tet_chunks = -(-count // chunk), -(-tets // tet_chunk)
-        self._sums = wp.zeros((chunks, 3), dtype=wp.float64, device=device)
+        self._sums = wp.zeros((chunks, 4), dtype=wp.float64, device=device)
         self._direction_sums = wp.zeros((chunks, 2), dtype=wp.float64, device=device)
         self._least = wp.zeros(tet_chunks, dtype=self.real, device=device)
         direction = self.gradients.krylov.solution
@@ -169,8 +174,9 @@ class Newton:
             self.obstacles.add_forces(self._position, self._force)
         self._find_least()
         self._find_residual()
-        square, quadratic, work = self._sums.numpy().sum(axis=0)
-        return Evaluation(float(np.sqrt(square)), float(quadratic), float(work), float(self._least.numpy().min()))
+        square, quadratic, work, forces = (float(value) for value in self._sums.numpy().sum(axis=0))
+        rounding = self._rounding * np.sqrt(forces)
+        return Evaluation(np.sqrt(square), rounding, quadratic, work, float(self._least.numpy().min()))
 
     def elastic_energy(self) -> float:
         """[J] at `position`, with that of obstacles."""
@@ -231,11 +237,11 @@ class Newton:
 
         reach: [s] of the step; the same reach means the same weights.
         """
-        goal = max(tolerance * reference, self.rounding)
+        goal = tolerance * reference
         correction = self._choose_correction(reach)
         linear_iterations, hessian = 0, "semi_definite"
         for iteration in range(max_iterations):
-            if here.residual <= goal:
+            if here.residual <= max(goal, here.rounding):
                 return Outcome(True, iteration, linear_iterations, here.residual)
             if hessian == "semi_definite" and (iteration >= CHEAP_ITERATIONS or here.least_volume < SQUEEZED):
                 hessian = "projected"
@@ -258,7 +264,7 @@ class Newton:
                 hessian = "exact"
             elif not definite:
                 hessian = "projected"
-        return Outcome(here.residual <= goal, max_iterations, linear_iterations, here.residual)
+        return Outcome(here.residual <= max(goal, here.rounding), max_iterations, linear_iterations, here.residual)
 
     @cached_property
     def _coarse(self) -> CoarseCorrection:
@@ -284,7 +290,7 @@ class Newton:
         self.assemble(hessian)
         wp.copy(krylov.residual, self.unknowns.residual)
         taken = self.gradients.solve(forcing, MAX_LINEAR_ITERATIONS, correction)
-        if self.gradients.definite or taken > 1:
+        if self.gradients.definite or taken > 1 or hessian == "projected":
             return taken, self.gradients.definite
         return taken + self._find_direction("projected", forcing, correction)[0], False
 
@@ -346,12 +352,3 @@ def _material(layout: TetLayout, body: int, node: np.ndarray) -> Material:
         lam=lam * volume,
         edge=float(layout.edge[body]),
     )
-
-
-def _rounding(layout: TetLayout, body: int, real: type) -> float:
-    """[N] 2-norm of what rounding leaves of the elastic forces on all nodes, were they all of the order of mu."""
-    tets = slice(int(layout.first_tet[body]), int(layout.first_tet[body + 1]))
-    size = np.linalg.norm(_slopes(layout, layout.tets[tets]), axis=(1, 2))
-    mu, lam = lame_parameters(layout.bodies[body].youngs_modulus, layout.bodies[body].poissons_ratio)
-    epsilon = np.finfo(np.float32 if real == wp.float32 else np.float64).eps
-    return float(epsilon * np.linalg.norm((2.0 * mu + lam) * layout.volume[tets] * size))
