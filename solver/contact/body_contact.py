@@ -7,6 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 import warp as wp
 
+from plait.solver.contact.answers import Answers
 from plait.solver.contact.body_contact_kernels import take_up
 from plait.solver.contact.collision_particles import CollisionParticles
 from plait.solver.contact.obstacles import build_obstacles
@@ -17,19 +18,38 @@ from plait.solver.tets.layout import TetLayout
 
 
 class ContactPart(Protocol):
-    """One kind of contact. All parts see the same nodes, and take turns in every sweep."""
+    """One kind of contact. All parts see the same nodes, and take turns in every sweep.
+
+    too_fast: in this substep something that meets moves by more than the settings' `cfl` cells.
+    """
+
+    too_fast: bool
 
     def begin_substep(self, substep: Interval, start: wp.array, position: wp.array) -> bool:
         """Finds what may touch while nodes go from `start` to `position`; False if nothing does."""
 
-    def begin_pass(self, position: wp.array, velocity: wp.array, displacement_per_velocity: float) -> None:
-        """Takes up where an elastic solve took the nodes: what is broken there is what sweeps put right."""
+    def begin_pass(
+        self, position: wp.array, velocity: wp.array, displacement_per_velocity: float, inverse_mass: wp.array
+    ) -> None:
+        """Takes up where an elastic solve took the nodes: what is broken there is what sweeps put right.
+
+        inverse_mass: (node_count,) float64 [1/kg], how nodes answer to impulses in this pass.
+        """
 
     def sweep(self, velocity: wp.array) -> None:
         """Changes the nodes' velocities, (node_count,) vec3d [m/s], in place, by impulses."""
 
+    def divide_impulses(self) -> None:
+        """Tells forces that go on from the substep before from what is new."""
+
+    def add_impulses(self, on_nodes: wp.array, lasting: float) -> None:
+        """Adds the nodes' impulses in this substep so far, and `lasting` times those of forces that go on."""
+
     def separate(self, position: wp.array) -> None:
-        """Moves nodes apart that still overlap, in place, without a change of velocity."""
+        """Moves nodes apart that still overlap, in place, without a change of velocity; the substep ends here."""
+
+    def retract(self) -> None:
+        """All as it was before `begin_substep`."""
 
     def end_frame(self) -> dict[str, Any]:
         """This frame's metrics."""
@@ -38,9 +58,11 @@ class ContactPart(Protocol):
 class BodyContact:
     """All contact of a scene's elastic bodies, as impulses on their nodes after the elastic solve.
 
-    impulse: (node_count,) vec3d [kg m/s], what contact has given each node so far in this substep.
+    impulse: (node_count,) vec3d [kg m/s], what the next elastic solve of this substep is to add to the nodes.
+    jolt: (node_count,) vec3d [kg m/s], of what contact gave the nodes in this substep, what does not go on from
+        the substep before: changes of velocity that an integrator which looks back must not take for motion.
     cell_size: [m] of the grid; particles on the skins lie at most so far apart.
-    particles: those.  inverse_mass: (node_count,) float64 [1/kg], zero for pinned nodes.
+    particles: those.
     obstacles: contact with surfaces that no body carries, part of the elastic solve; None without such.
     """
 
@@ -50,14 +72,14 @@ class BodyContact:
         self.cell_size = self.settings.cell_size or mean_cell_size(layout)
         self.particles = CollisionParticles(model.scene, layout, self.cell_size, model.launcher)
         device = model.launcher.device
-        self._mass = wp.array(layout.mass, dtype=wp.float64, device=device)
-        free = ~layout.pinned & (layout.mass > 0.0)
-        inverse_mass = np.divide(1.0, layout.mass, out=np.zeros(layout.node_count), where=free)
-        self.inverse_mass = wp.array(inverse_mass, dtype=wp.float64, device=device)
-        self.impulse = wp.zeros(layout.node_count, dtype=wp.vec3d, device=device)
-        self._velocity = wp.zeros_like(self.impulse)
-        self.parts: list[ContactPart] = [SkinContact(model, state, self.particles, self.inverse_mass)]
+        self.impulse, self.jolt, self._velocity = (
+            wp.zeros(layout.node_count, dtype=wp.vec3d, device=device) for _ in range(3)
+        )
+        self._answers = Answers(layout, self.particles)
+        self._at_once = wp.array(self._answers.at_once, dtype=wp.float64, device=device)
+        self.parts: list[ContactPart] = [SkinContact(model, state, self.particles, self._answers.mobile)]
         self._active: list[ContactPart] = []
+        self._substep: Interval | None = None
         self.obstacles = build_obstacles(model, state, self.particles)
 
     def begin_substep(self, substep: Interval, start: wp.array, position: wp.array) -> bool:
@@ -65,30 +87,66 @@ class BodyContact:
 
         start, position: (node_count,) vec3d [m], the nodes where the substep starts and after the elastic solve.
         """
+        self._substep = substep
         self._active = [part for part in self.parts if part.begin_substep(substep, start, position)]
-        if self._active:
-            self.impulse.zero_()
         return bool(self._active)
 
+    @property
+    def too_fast(self) -> bool:
+        """Whether something that meets in the substep moves by more than the settings' `cfl` cells."""
+        return any(part.too_fast for part in self._active)
+
+    def retract(self, substep: Interval) -> None:
+        """All as it was before `begin_substep`, if that was called for this substep."""
+        for part in self.parts if self._substep == substep else ():
+            part.retract()
+        self._substep = None
+
     def resolve(
-        self, start: wp.array, position: wp.array, velocity: wp.array, displacement_per_velocity: float
+        self,
+        start: wp.array,
+        position: wp.array,
+        velocity: wp.array,
+        displacement_per_velocity: float,
+        forecast: bool = False,
     ) -> None:
         """Impulses that keep what touches apart, onto `velocity` and `position`, in place, and into `impulse`.
 
         displacement_per_velocity: [s] how far a node ends up further for each m/s added to its velocity.
+        forecast: another elastic solve follows, with `impulse`. The impulses are then those that stop as much of
+            the bodies as that solve will move, not their skins alone.
         """
         wp.copy(self._velocity, velocity)
+        inverse_mass = self._at_once
+        if forecast:
+            answer = self._answers.after_solve(displacement_per_velocity)
+            inverse_mass = wp.array(answer, dtype=wp.float64, device=self._launcher.device)
         for part in self._active:
-            part.begin_pass(position, velocity, displacement_per_velocity)
+            part.begin_pass(position, velocity, displacement_per_velocity, inverse_mass)
         for _ in range(self.settings.iterations):
             for part in self._active:
                 part.sweep(velocity)
-        inputs = [self._mass, self._velocity, velocity, wp.float64(displacement_per_velocity)]
-        self._launcher.launch(take_up, self.layout.node_count, inputs, [position, self.impulse])
+        if forecast:
+            self._tell_elastic_solve(displacement_per_velocity / self._substep.length)
+        inputs = [self._velocity, velocity, wp.float64(displacement_per_velocity)]
+        self._launcher.launch(take_up, self.layout.node_count, inputs, [position])
+
+    def _tell_elastic_solve(self, weight: float) -> None:
+        """Impulses for the next solve, which adds them to velocities in full.
+
+        weight: what of a force's impulse an integrator adds at once; the rest follows by what it remembers. So
+        much is added of a force that goes on from the substep before; what is new, all at once.
+        """
+        self.impulse.zero_()
+        for part in self._active:
+            part.divide_impulses()
+            part.add_impulses(self.impulse, weight - 1.0)
 
     def separate(self, position: wp.array) -> None:
-        """Moves what still overlaps apart by a part of the overlap, velocities untouched."""
+        """Moves what still overlaps apart by a part of the overlap, velocities untouched; fills `jolt`."""
+        self.jolt.zero_()
         for part in self._active:
+            part.add_impulses(self.jolt, -1.0)
             part.separate(position)
 
     def end_frame(self) -> dict[str, Any]:

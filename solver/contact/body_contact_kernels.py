@@ -10,15 +10,12 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def take_up(
     first: int,
-    mass: wp.array(dtype=wp.float64),
     velocity_before: wp.array(dtype=wp.vec3d),
     velocity: wp.array(dtype=wp.vec3d),
     displacement_per_velocity: wp.float64,
     position: wp.array(dtype=wp.vec3d),
-    impulse: wp.array(dtype=wp.vec3d),
 ):
-    """Moves a node by what its velocity changed, and notes the impulse that did it; one node an item."""
+    """Moves a node by what its velocity changed; one node an item."""
     p = first + wp.tid()
     change = velocity[p] - velocity_before[p]
     position[p] = position[p] + displacement_per_velocity * change
-    impulse[p] = impulse[p] + mass[p] * change

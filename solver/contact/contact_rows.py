@@ -10,10 +10,13 @@ import warp as wp
 from plait.solver.contact.row_kernels import (
     Rows,
     RowState,
+    add_impulses,
     begin_rows,
     claim_nodes,
+    divide_impulses,
     part_rows,
     spread_impulses,
+    store_forces,
     sweep_rows,
     weigh_rows,
 )
@@ -30,6 +33,7 @@ class Contacts:
     nodes: (count, n) int32, weights, slip_weights: (count, n) float64, see `row_kernels`; where both weights are
     zero a node is no part of the row.
     normal: (count, 3).  target: (count,) [m].  friction, restitution: (count,).  share: (count,) [kg].
+    carried: (count, 3) [kg m/s], what the forces of the substep before come to in this one.
     """
 
     nodes: np.ndarray
@@ -40,18 +44,18 @@ class Contacts:
     friction: np.ndarray
     restitution: np.ndarray
     share: np.ndarray
+    carried: np.ndarray
 
 
 class ContactRows:
     """Contacts that share the nodes of elastic bodies.
 
-    inverse_mass: (node_count,) float64 device array [1/kg], zero for nodes that contact cannot move.
+    mobile: (node_count,) bool, the nodes that contact can move.
     """
 
-    def __init__(self, inverse_mass: wp.array, launcher: Launcher) -> None:
-        self._launcher = launcher
-        self._inverse_mass, self._mobile = inverse_mass, inverse_mass.numpy() > 0.0
-        self._claim = wp.zeros(len(inverse_mass), dtype=wp.float64, device=launcher.device)
+    def __init__(self, mobile: np.ndarray, launcher: Launcher) -> None:
+        self._launcher, self._mobile = launcher, mobile
+        self._claim = wp.zeros(len(mobile), dtype=wp.float64, device=launcher.device)
         self.count = 0
 
     def build(self, contacts: Contacts) -> None:
@@ -79,36 +83,35 @@ class ContactRows:
         rows.nodes, rows.node_offsets = hold(touched, wp.int32), hold(_offsets(counts), wp.int32)
         rows.node_row, rows.node_weight = hold(row[order], wp.int32), hold(weight[order], wp.float64)
         rows.node_slip_weight = hold(slip_weight[order], wp.float64)
-        rows.inverse_mass = self._inverse_mass
         self._rows, self._touched = rows, len(touched)
-        self._state = self._allocate()
+        self._state = self._allocate(contacts.carried)
         self._first_pass = True
-        launch = self._launcher.launch
-        launch(claim_nodes, self._touched, [rows], [self._claim], work_per_item=NODE_WORK)
-        launch(weigh_rows, self.count, [rows, self._claim], [self._state], work_per_item=ROW_WORK)
 
-    def _allocate(self) -> RowState:
+    def _allocate(self, carried: np.ndarray) -> RowState:
         state, device = RowState(), self._launcher.device
         for name in ("compliance", "gap", "velocity", "approach"):
             setattr(state, name, wp.zeros(self.count, dtype=wp.float64, device=device))
-        for name in ("impulse", "change", "slip_change"):
+        for name in ("impulse", "lasting", "change", "slip_change"):
             setattr(state, name, wp.zeros(self.count, dtype=wp.vec3d, device=device))
+        state.carried = wp.array(carried, dtype=wp.vec3d, device=device)
         return state
-
-    @property
-    def impulse(self) -> wp.array:
-        """(count,) vec3d [kg m/s], of each row in this substep so far."""
-        return self._state.impulse
 
     @property
     def gap(self) -> wp.array:
         """(count,) float64 [m], where the pass began, or where `part` found the rows."""
         return self._state.gap
 
-    def begin_pass(self, position: wp.array, velocity: wp.array) -> None:
-        """Notes where an elastic solve took the nodes; the first since `build` forgets all impulses."""
-        inputs = [int(self._first_pass), self._rows, position, velocity]
-        self._launcher.launch(begin_rows, self.count, inputs, [self._state], work_per_item=ROW_WORK)
+    def begin_pass(self, position: wp.array, velocity: wp.array, inverse_mass: wp.array) -> None:
+        """Notes where an elastic solve took the nodes.
+
+        inverse_mass: (node_count,) float64 [1/kg], how the nodes answer to impulses in this pass.
+        """
+        self._rows.inverse_mass = inverse_mass
+        rows, launch = self._rows, self._launcher.launch
+        launch(claim_nodes, self._touched, [rows], [self._claim], work_per_item=NODE_WORK)
+        launch(weigh_rows, self.count, [rows, self._claim], [self._state], work_per_item=ROW_WORK)
+        inputs = [int(self._first_pass), rows, position, velocity]
+        launch(begin_rows, self.count, inputs, [self._state], work_per_item=ROW_WORK)
         self._first_pass = False
 
     def sweep(self, velocity: wp.array, displacement_per_velocity: float) -> None:
@@ -116,6 +119,27 @@ class ContactRows:
         inputs = [self._rows, velocity, wp.float64(displacement_per_velocity)]
         self._launcher.launch(sweep_rows, self.count, inputs, [self._state], work_per_item=ROW_WORK)
         self._spread(velocity)
+
+    def divide_impulses(self) -> None:
+        """Tells the lasting part of the impulses, forces that go on from the substep before, from what is new."""
+        self._launcher.launch(divide_impulses, self.count, [], [self._state])
+
+    def add_impulses(self, on_nodes: wp.array) -> None:
+        """Adds what the impulses in this substep so far are on nodes, (node_count,) vec3d [kg m/s]."""
+        self._add(self._state.impulse, 1.0, on_nodes)
+
+    def add_lasting(self, factor: float, on_nodes: wp.array) -> None:
+        """Adds `factor` times what the lasting part of the impulses is on nodes, (node_count,) vec3d [kg m/s]."""
+        self._add(self._state.lasting, factor, on_nodes)
+
+    def _add(self, impulse: wp.array, factor: float, on_nodes: wp.array) -> None:
+        inputs = [self._rows, impulse, wp.float64(factor)]
+        self._launcher.launch(add_impulses, self._touched, inputs, [on_nodes], work_per_item=NODE_WORK)
+
+    def store_forces(self, slot: np.ndarray, length: float, slot_force: wp.array) -> None:
+        """Writes row c's force in a substep of `length` [s] to slot[c] of a vec3d array [N]."""
+        slots = wp.array(slot, dtype=wp.int32, device=self._launcher.device)
+        self._launcher.launch(store_forces, self.count, [slots, wp.float64(length), self._state], [slot_force])
 
     def part(self, position: wp.array, wanted: wp.array, factor: float) -> None:
         """Moves nodes, in place, such that gaps below `wanted` (count,) [m] grow by `factor` of what they lack."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from plait.solver.contact.geometry_kernels import ZERO
+from plait.solver.contact.geometry_kernels import ONE, ZERO
 
 wp.set_module_options({"enable_backward": False})
 
@@ -34,7 +34,7 @@ class Rows:
     node_row: wp.array(dtype=wp.int32)
     node_weight: wp.array(dtype=wp.float64)
     node_slip_weight: wp.array(dtype=wp.float64)
-    inverse_mass: wp.array(dtype=wp.float64)  # (node_count,) [1/kg], zero for what is held
+    inverse_mass: wp.array(dtype=wp.float64)  # (node_count,) [1/kg], how nodes answer to impulses; zero if held
 
 
 @wp.struct
@@ -46,6 +46,8 @@ class RowState:
     velocity: wp.array(dtype=wp.float64)  # [m/s] along the normal, where the pass began
     approach: wp.array(dtype=wp.float64)  # [m/s] along the normal, where the first pass began
     impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] in this substep so far
+    carried: wp.array(dtype=wp.vec3d)  # [kg m/s] what the force of the substep before would be in this one
+    lasting: wp.array(dtype=wp.vec3d)  # [kg m/s] the part of `impulse` that goes on from there
     change: wp.array(dtype=wp.vec3d)  # [kg m/s] of the last sweep, along the normal
     slip_change: wp.array(dtype=wp.vec3d)  # [kg m/s] and across it
 
@@ -68,26 +70,31 @@ def between_in_one_point(rows: Rows, c: int, of_nodes: wp.array(dtype=wp.vec3d))
 
 @wp.kernel
 def claim_nodes(first: int, rows: Rows, claim_out: wp.array(dtype=wp.float64)):
-    """sum_c |w_ck| share_c / m_k at each touched node; one an item."""
+    """[kg] sum_c |w_ck| share_c at each touched node; one an item."""
     n = first + wp.tid()
     total = ZERO
     for k in range(rows.node_offsets[n], rows.node_offsets[n + 1]):
         total += wp.abs(rows.node_weight[k]) * rows.share[rows.node_row[k]]
-    node = rows.nodes[n]
-    claim_out[node] = total * rows.inverse_mass[node]
+    claim_out[rows.nodes[n]] = total
 
 
 @wp.kernel
-def weigh_rows(first: int, rows: Rows, claim: wp.array(dtype=wp.float64), state: RowState):
+def weigh_rows(
+    first: int,
+    rows: Rows,
+    claim: wp.array(dtype=wp.float64),
+    state: RowState,
+):
     """The compliance that makes Jacobi sweeps converge whatever touches whatever; one row an item.
 
     The matrix A_cd = sum_k w_ck w_dk / m_k has no eigenvalue above one after division by
-    sum_d |A_cd| s_d / s_c <= sum_k |w_ck| claim_k / s_c, for any shares s > 0 (Gershgorin's circles).
+    sum_d |A_cd| s_d / s_c <= sum_k |w_ck| claim_k / (m_k s_c), for any shares s > 0 (Gershgorin's circles).
     """
     c = first + wp.tid()
     total = ZERO
     for k in range(rows.offsets[c], rows.offsets[c + 1]):
-        total += wp.abs(rows.weight[k]) * claim[rows.node[k]]
+        node = rows.node[k]
+        total += wp.abs(rows.weight[k]) * claim[node] * rows.inverse_mass[node]
     state.compliance[c] = total / rows.share[c]
 
 
@@ -107,8 +114,8 @@ def begin_rows(
     state.gap[c] = wp.dot(n, between(rows, c, position))
     state.velocity[c] = u
     if first_pass == 1:
-        state.impulse[c] = wp.vec3d()
-        state.approach[c] = u
+        # What already presses does not bounce.
+        state.approach[c] = wp.where(wp.length_sq(state.carried[c]) > ZERO, ZERO, u)
 
 
 @wp.kernel
@@ -146,7 +153,12 @@ def sweep_rows(
 
 
 @wp.kernel
-def spread_impulses(first: int, rows: Rows, state: RowState, velocity: wp.array(dtype=wp.vec3d)):
+def spread_impulses(
+    first: int,
+    rows: Rows,
+    state: RowState,
+    velocity: wp.array(dtype=wp.vec3d),
+):
     """v_k += sum_c w_ck J_c / m_k; one touched node an item, its rows in fixed order."""
     n = first + wp.tid()
     total = wp.vec3d()
@@ -155,6 +167,50 @@ def spread_impulses(first: int, rows: Rows, state: RowState, velocity: wp.array(
         total += rows.node_weight[k] * state.change[c] + rows.node_slip_weight[k] * state.slip_change[c]
     node = rows.nodes[n]
     velocity[node] = velocity[node] + rows.inverse_mass[node] * total
+
+
+@wp.kernel
+def divide_impulses(first: int, state: RowState):
+    """What of an impulse goes on from the substep before: its force, as far as it still presses; one row an item."""
+    c = first + wp.tid()
+    before = state.carried[c]
+    square = wp.length_sq(before)
+    lasting = wp.vec3d()
+    if square > ZERO:
+        lasting = wp.clamp(wp.dot(state.impulse[c], before) / square, ZERO, ONE) * before
+    state.lasting[c] = lasting
+
+
+@wp.kernel
+def add_impulses(
+    first: int,
+    rows: Rows,
+    impulse: wp.array(dtype=wp.vec3d),
+    factor: wp.float64,
+    on_nodes: wp.array(dtype=wp.vec3d),
+):
+    """J_k += factor sum_c w_ck J_c; one touched node an item."""
+    n = first + wp.tid()
+    total = wp.vec3d()
+    for k in range(rows.node_offsets[n], rows.node_offsets[n + 1]):
+        c = rows.node_row[k]
+        along = wp.dot(rows.normal[c], impulse[c]) * rows.normal[c]
+        total += rows.node_weight[k] * along + rows.node_slip_weight[k] * (impulse[c] - along)
+    node = rows.nodes[n]
+    on_nodes[node] = on_nodes[node] + factor * total
+
+
+@wp.kernel
+def store_forces(
+    first: int,
+    slot: wp.array(dtype=wp.int32),
+    length: wp.float64,
+    state: RowState,
+    slot_force_out: wp.array(dtype=wp.vec3d),
+):
+    """Keeps each row's force over a substep of that length [s] where the next finds it; one row an item."""
+    c = first + wp.tid()
+    slot_force_out[slot[c]] = state.impulse[c] / length
 
 
 @wp.kernel

@@ -23,21 +23,24 @@ PARTING = 0.25
 # Jacobi sweeps over the rows in each of the outer sweeps.
 INNER_SWEEPS = 4
 DEFAULT_FRICTION = 0.5
+# A force goes on in a contact whose normal is within this (cosine) of it.
+ALIKE = 0.5
 
 
 class SkinContact:
     """Contact of skins, as impulses between particles and the nearest points of triangles.
 
-    State array contact/skin_triangle: (particle_count * SLOTS,) int32, where each particle touched last.
+    State arrays, of each place where a particle touched last: contact/skin_triangle, (particle_count * SLOTS,)
+    int32, and contact/skin_force, vec3d [N].
 
     too_fast: in this substep something that meets moves by more than the settings' `cfl` cells.
     """
 
-    def __init__(self, model: Model, state: State, particles: CollisionParticles, inverse_mass: wp.array) -> None:
+    def __init__(self, model: Model, state: State, particles: CollisionParticles, mobile: np.ndarray) -> None:
         self._launcher, self._particles = model.launcher, particles
         self._cell, self._cfl = particles.spacing, model.settings.grid.cfl
         self._patches = SkinPatches(particles, APART_AT_REST * self._cell, model.launcher)
-        self._rows = ContactRows(inverse_mass, model.launcher)
+        self._rows = ContactRows(mobile, model.launcher)
         bodies = particles.layout.bodies
         told = [model.scene.surfaces[body.surface].friction for body in bodies]
         self._friction = np.array([DEFAULT_FRICTION if f is None else f for f in told])
@@ -47,7 +50,9 @@ class SkinContact:
         self._skins = self._make_skins()
         device, slots = model.launcher.device, particles.count * SLOTS
         self._touching, self._before = _touching(slots, device), _touching(slots, device)
+        self._force, self._kept_force = (wp.zeros(slots, dtype=wp.vec3d, device=device) for _ in range(2))
         state.arrays["contact/skin_triangle"] = self._touching.triangle
+        state.arrays["contact/skin_force"] = self._force
         self._end = wp.zeros_like(particles.position)
         self.too_fast = False
         self._begin_counts()
@@ -86,17 +91,18 @@ class SkinContact:
 
     def begin_substep(self, substep: Interval, start: wp.array, position: wp.array) -> bool:
         """Finds the places that may touch; False, with nothing changed, if there are none."""
-        particles = self._particles
-        self.too_fast = False
+        particles, self._length = self._particles, substep.length
+        self.too_fast = self._searched = False
+        wp.copy(self._kept_force, self._force)
         particles.evaluate_positions(start)
         particles.gather(position, self._end)
-        if not self._patches.come_near(particles.position, self._end, LOOK_AHEAD * self._cell):
-            return False
-        self._find()
-        found = np.flatnonzero(self._touching.triangle.numpy() >= 0)
-        if not len(found):
-            return False
-        contacts = self._contacts(found, start.numpy())
+        contacts = None
+        if self._patches.come_near(particles.position, self._end, LOOK_AHEAD * self._cell):
+            self._searched = True
+            self._find()
+            contacts = self._contacts(start.numpy())
+        if self._force.numpy().any():
+            self._force.zero_()
         if contacts is None:
             return False
         self._rows.build(contacts)
@@ -122,9 +128,9 @@ class SkinContact:
         ]
         self._launcher.launch(find_places, particles.count, inputs, [self._touching], work_per_item=50)
 
-    def _contacts(self, found: np.ndarray, node_start: np.ndarray) -> Contacts | None:
-        """Rows of the places found that may close within the substep."""
-        particles = self._particles
+    def _contacts(self, node_start: np.ndarray) -> Contacts | None:
+        """Rows of the places found that may close within the substep; None without any."""
+        particles, found = self._particles, np.flatnonzero(self._touching.triangle.numpy() >= 0)
         q = found // SLOTS
         triangle = self._touching.triangle.numpy()[found]
         weights, normal, gap = (getattr(self._touching, n).numpy()[found] for n in ("weights", "normal", "gap"))
@@ -138,10 +144,10 @@ class SkinContact:
         near = closing < kept + LOOK_AHEAD * self._cell
         if not near.any():
             return None
-        q, corners, weights, normal, gap, a, b, kept = (
-            v[near] for v in (q, corners, weights, normal, gap, a, b, kept)
+        q, corners, weights, normal, gap, a, b, kept, triangle = (
+            v[near] for v in (q, corners, weights, normal, gap, a, b, kept, triangle)
         )
-        self._kept = kept
+        self._kept, self._slots = kept, found[near]
         theirs = (-weights[:, :, None] * particles.weights[corners]).reshape(len(q), -1)
         own = particles.weights[q]
         over_there = own + _weight_change(node_start[particles.nodes[q]], -gap[:, None] * normal)
@@ -154,14 +160,37 @@ class SkinContact:
             0.5 * (self._friction[a] + self._friction[b]),
             np.maximum(self._restitution[a], self._restitution[b]),
             particles.mass[q],
+            self._carried_on(q, triangle, normal),
         )
+
+    def _carried_on(self, q: np.ndarray, triangle: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """(n, 3) [kg m/s] by the force of the substep before where each contact was, on the same skin."""
+        body = self._particles.triangle_body
+        slots = q[:, None] * SLOTS + np.arange(SLOTS)
+        triangle_before, force = self._before.triangle.numpy()[slots], self._force.numpy()[slots]
+        size = np.linalg.norm(force, axis=2)
+        cosine = np.einsum("nkd,nd->nk", force, normal) / np.maximum(size, np.finfo(float).tiny)
+        same = (triangle_before >= 0) & (body[triangle_before] == body[triangle][:, None]) & (size > 0.0)
+        cosine = np.where(same, cosine, -1.0)
+        best = cosine.argmax(axis=1)
+        rows = np.arange(len(q))
+        chosen, alike = slots[rows, best], cosine[rows, best]
+        # One heir to each force, the most alike.
+        order = np.lexsort((-alike, chosen))
+        heir = order[np.flatnonzero(np.diff(chosen[order], prepend=-1))]
+        heir = heir[alike[heir] > ALIKE]
+        carried = np.zeros((len(q), 3))
+        carried[heir] = force[heir, best[heir]] * self._length
+        return carried
 
     # -- solving -------------------------------------------------------------------------------------------
 
-    def begin_pass(self, position: wp.array, velocity: wp.array, displacement_per_velocity: float) -> None:
+    def begin_pass(
+        self, position: wp.array, velocity: wp.array, displacement_per_velocity: float, inverse_mass: wp.array
+    ) -> None:
         """Takes up where an elastic solve took the nodes."""
         self._displacement_per_velocity = displacement_per_velocity
-        self._rows.begin_pass(position, velocity)
+        self._rows.begin_pass(position, velocity, inverse_mass)
 
     def sweep(self, velocity: wp.array) -> None:
         """Changes the nodes' velocities [m/s] in place."""
@@ -171,7 +200,23 @@ class SkinContact:
     def separate(self, position: wp.array) -> None:
         """Takes away a part of what still overlaps; positions only."""
         self._rows.part(position, self._wanted, PARTING)
+        self._rows.store_forces(self._slots, self._length, self._force)
         self._count()
+
+    def divide_impulses(self) -> None:
+        """Tells forces that go on from the substep before from what is new."""
+        self._rows.divide_impulses()
+
+    def add_impulses(self, on_nodes: wp.array, lasting: float) -> None:
+        """Adds the nodes' impulses in this substep so far, and `lasting` times those of forces that go on."""
+        self._rows.add_impulses(on_nodes)
+        self._rows.add_lasting(lasting, on_nodes)
+
+    def retract(self) -> None:
+        """All as it was before `begin_substep`."""
+        if self._searched:
+            wp.copy(self._touching.triangle, self._before.triangle)
+        wp.copy(self._force, self._kept_force)
 
     # -- reporting -----------------------------------------------------------------------------------------
 

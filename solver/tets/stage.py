@@ -109,8 +109,15 @@ class TetStage:
         self._past.fill_(self._kept_past)
         for body in self._bodies:
             body.retract()
-        if self._contact is not None and self._contact.obstacles is not None:
-            self._contact.obstacles.retract()
+        if self._contact is not None:
+            self._contact.retract(substep)
+            if self._contact.obstacles is not None:
+                self._contact.obstacles.retract()
+
+    def _take_contact_impulses(self, impulse: wp.array, substep: Interval, scheme: Scheme) -> None:
+        wp.copy(self._motion.contact_impulse, impulse)
+        for body in self._bodies:
+            body.wake(substep, scheme)
 
     def _solve(self) -> bool:
         return all([body.solve() for body in self._bodies])
@@ -131,14 +138,15 @@ class TetStage:
                 ]
             )
         if (stands or last_resort) and contact.begin_substep(substep, start, motion.position):
-            for last in [False] * (self._model.settings.grid.passes - 1) + [True]:
-                contact.resolve(start, motion.position, motion.velocity, scheme.reach)
-                wp.copy(motion.contact_impulse, contact.impulse)
-                for body in self._bodies:
-                    body.wake(substep, scheme)
-                if not last:
-                    stands = self._solve() and stands
+            if contact.too_fast and not last_resort:
+                return False
+            for _ in range(self._model.settings.grid.passes - 1):
+                contact.resolve(start, motion.position, motion.velocity, scheme.reach, forecast=True)
+                self._take_contact_impulses(contact.impulse, substep, scheme)
+                stands = self._solve() and stands
+            contact.resolve(start, motion.position, motion.velocity, scheme.reach)
             contact.separate(motion.position)
+            self._take_contact_impulses(contact.jolt, substep, scheme)
             in_contact = self._bodies
         else:
             in_contact = [body for body in self._bodies if body.struck]

@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from plait.solver.contact.body_contact import BodyContact
+from plait.solver.kinematics import stage as kinematics
 from plait.solver.launch import Launcher
 from plait.solver.model import Interval, Model
 from plait.solver.scene import Scene
@@ -29,6 +30,7 @@ class Explicit:
         self.state, self.gravity, self.damping = State(), scene.gravity, damping
         self.launcher = Launcher("cpu", 1)
         model = Model(scene, settings, self.launcher, 0.0)
+        model.parts["kinematics"] = kinematics.build(model, self.state)
         self.contact = BodyContact(model, self.state, self.layout) if contact else None
         self.position = np.concatenate([_placed(body) for body in self.layout.bodies])
         self.velocity = np.zeros_like(self.position)
@@ -104,7 +106,7 @@ class Explicit:
                 self.contact.resolve(x0, x, v, h)
                 self.contact.separate(x)
                 position, velocity = x.numpy().copy(), v.numpy().copy()
-                self.impulse[:] = self.contact.impulse.numpy()
+                self.impulse[:] = self.contact.jolt.numpy()
         self.position, self.velocity, self.time = position, velocity, self.time + h
         return near
 

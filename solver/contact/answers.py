@@ -1,0 +1,38 @@
+"""How elastic bodies answer to impulses on their skins: at once, and after an elastic solve."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plait.solver.contact.collision_particles import CollisionParticles
+from plait.solver.tets.layout import TetLayout
+
+
+class Answers:
+    """Inverse masses of nodes, (node_count,) float64 [1/kg], zero for those that contact cannot move.
+
+    at_once: of each node by itself, what an impulse after the elastic solve moves.
+    """
+
+    def __init__(self, layout: TetLayout, particles: CollisionParticles) -> None:
+        self.mobile = ~layout.pinned & (layout.mass > 0.0)
+        self.at_once = np.divide(1.0, layout.mass, out=np.zeros(layout.node_count), where=self.mobile)
+        self._counts = np.diff(layout.first_node)
+        bodies = range(layout.body_count)
+        volume = np.array([layout.volume[slice(*layout.first_tet[b : b + 2])].sum() for b in bodies])
+        mass = np.array([layout.mass[layout.nodes(b)].sum() for b in bodies])
+        area = np.bincount(particles.body, particles.area, layout.body_count)
+        areal_mass = np.bincount(particles.body, particles.mass, layout.body_count) / area
+        # Half the side of a cube, three halves of the thickness of a plate.
+        self._depth = 3.0 * volume / area
+        self._speed = np.sqrt([np.mean(body.youngs_modulus) for body in layout.bodies] / (mass / volume))
+        self._layers = (mass / volume) / areal_mass
+
+    def after_solve(self, time: float) -> np.ndarray:
+        """What the same impulse moves as a force within an implicit solve over `time` [s], estimated.
+
+        It takes along what an elastic wave reaches in that time, density times its way for each square metre of
+        skin, as far as the body goes; the skin's own nodes hold less. Too little is stable, and takes more passes.
+        """
+        times_skin = np.maximum(self._layers * np.minimum(self._speed * time, self._depth), 1.0)
+        return self.at_once / np.repeat(times_skin, self._counts)
