@@ -12,6 +12,7 @@ import pytest
 import warp as wp
 
 import plait.solver
+from plait.solver.contact.obstacle_force_kernels import tet_kernels
 from plait.solver.materials.laws import LAWS
 from plait.solver.strands.kernels import strand_kernels
 from plait.solver.tets.elements import element_kernels
@@ -26,6 +27,7 @@ def kernels() -> Iterator[wp.Kernel]:
         yield from vars(importlib.import_module(found.name)).values()
     for real in (wp.float32, wp.float64):
         yield from vars(strand_kernels(real)).values()
+        yield from vars(tet_kernels(real)).values()
         for law in LAWS:
             yield from vars(element_kernels(law, real)).values()
 
