@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from plait.solver.contact.obstacle_forces import ObstacleForces
 
 # A body is at rest where, left alone for a time of REST_TIME [s], it would move by this part of a tet's edge.
-REST, REST_TIME = {wp.float32: 1e-6, wp.float64: 1e-9}, 1.0 / 24.0
+REST, REST_TIME = {wp.float32: 1e-7, wp.float64: 1e-9}, 1.0 / 24.0
 # Rounding keeps a body that rests trembling, with residuals of so many times what it leaves in one evaluation.
 TREMBLE = 10.0
 # A pinned node has jumped if it is further than this part of an edge, and of the way of an elastic wave, from
@@ -191,21 +191,24 @@ class BodySolver:
     # -- the elastic solve -----------------------------------------------------------------------------------
 
     def _minimise(self) -> bool:
-        newton, settings = self.newton, self._settings
-        inputs = [self._step, self._motion]
+        newton, settings, motion, step = self.newton, self._settings, self._motion, self._step
+        if newton.damping is not None:
+            share = 1.0 if step.before > 0.0 else 0.5
+            newton.damping.begin(motion.position_before, motion.predicted, motion.base, share, step.reach)
+        inputs = [step, motion]
         self._launcher.launch(self._kernels.aim, newton.rows.count, inputs, [newton.unknowns])
         here = newton.evaluate()
         if self._reference is None:
             self._check_finite(here)
             self._recovery.watch(here.least_volume)
             small = max(self._rest_residual, TREMBLE * here.rounding)
-            if here.residual <= small and self._momentum() <= small * self._step.length:
+            if here.residual <= small and self._momentum() <= small * step.length:
                 self._fall_asleep()
                 return True
             self._reference = here.residual
-            here = newton.start_from(self._motion.predicted, here)
+            here = newton.start_from(motion.predicted, here)
         tolerance = settings.tolerance * (1.0 if newton.obstacles is None else WITH_OBSTACLES)
-        outcome = newton.minimise(here, self._reference, tolerance, settings.max_iterations, self._step.reach)
+        outcome = newton.minimise(here, self._reference, tolerance, settings.max_iterations, step.reach)
         self.tally.newton_iterations += outcome.iterations
         self.tally.linear_iterations += outcome.linear_iterations
         self.tally.unconverged += not outcome.converged
@@ -261,7 +264,7 @@ class BodySolver:
     # -- rest ------------------------------------------------------------------------------------------------
 
     def _momentum(self) -> float:
-        """[kg m/s] 2-norm of the nodes' momenta at the start: a body that swings back would not move now either."""
+        """[kg m/s] 2-norm of the nodes' momenta at the start: what swings back would not move now either."""
         velocity = self._motion.velocity_before[self._nodes].numpy()
         return float(np.linalg.norm(self._layout.mass[self._nodes, None] * velocity))
 

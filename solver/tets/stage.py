@@ -38,7 +38,8 @@ class TetStage:
     warnings: lines for the user about what could not be taken as given.
 
     State arrays (see `Motion` in `body_kernels.py`): tets/position, velocity, position_before, velocity_before,
-    external_impulse; tets/past: (1,) [s], the length of the step before, 0 for none; tets/asleep: (body_count,).
+    external_impulse; tets/past: (1,) [s], the length of the step before, 0 for none; tets/asleep: (body_count,);
+    tets/tangle: (body_count, 3), the memories of `Recovery`.
     """
 
     name = "tets"
@@ -56,8 +57,11 @@ class TetStage:
         self._past = wp.zeros(1, dtype=wp.float64, device=device)
         asleep = wp.zeros(self.layout.body_count, dtype=wp.int32, device=device)
         state.arrays |= {f"tets/{name}": getattr(motion, name) for name in EVOLVING}
-        state.arrays |= {"tets/past": self._past, "tets/asleep": asleep}
-        self._bodies = [BodySolver(model, self.layout, b, motion, asleep[b : b + 1], self.real) for b in bodies]
+        tangle = wp.zeros((self.layout.body_count, 3), dtype=wp.float64, device=device)
+        state.arrays |= {"tets/past": self._past, "tets/asleep": asleep, "tets/tangle": tangle}
+        self._bodies = [
+            BodySolver(model, self.layout, b, motion, asleep[b : b + 1], tangle[b], self.real) for b in bodies
+        ]
         self._place_at_start()
         self._skins = [Skin(self.layout, b, self._launcher, self.real) for b in bodies]
         self._contact = self._make_contact(state)
@@ -88,7 +92,9 @@ class TetStage:
     # -- stepping ------------------------------------------------------------------------------------------
 
     def begin_frame(self, state: State, frame: Interval) -> None:
-        """Nothing to decide: what a body can skip, it finds out step by step."""
+        """Lets go what is tangled for good; what a body can skip, it finds out step by step."""
+        for body in self._bodies:
+            body.recover(frame.start, float(self._past.numpy()[0]))
 
     def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
         """Moves every body to the substep's end: elasticity, then contact, in turns while anything is near.
