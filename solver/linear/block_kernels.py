@@ -165,4 +165,6 @@ def block_kernels(real: type) -> SimpleNamespace:
         krylov.residual_square[c] = square
 
     types = SimpleNamespace(vec3=vec3, mat33=mat33, Rows=Rows, Incidence=Incidence, Krylov=Krylov)
-    return SimpleNamespace(assemble=assemble, begin=begin, multiply=multiply, update=update, types=types)
+    return SimpleNamespace(
+        assemble=assemble, begin=begin, multiply=multiply, update=update, pair=pair, types=types
+    )

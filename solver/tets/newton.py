@@ -16,6 +16,7 @@ from plait.solver.linear.coarse import CoarseCorrection, Material
 from plait.solver.linear.conjugate_gradients import ConjugateGradients
 from plait.solver.tets import elements as tet_elements
 from plait.solver.tets.body_kernels import body_kernels
+from plait.solver.tets.damping import StiffnessDamping
 from plait.solver.tets.elements import body_elements, element_kernels, element_types, lame_parameters
 from plait.solver.tets.layout import TetLayout
 
@@ -73,6 +74,7 @@ class Newton:
 
     unknowns: struct `Unknowns` of `body_kernels`, whose weight and target say what to minimise.
     rows: the matrix of the unknowns.
+    damping: by the stiffness, or None.
     obstacles: what surfaces in the body's way add to its energy, forces and stiffness; None for nothing.
     """
 
@@ -107,6 +109,8 @@ class Newton:
         self._still = STILL * float(np.linalg.norm(np.ptp(nodes, axis=0)))
         self._rounding = ROUNDING * float(np.finfo(np.float32 if real == wp.float32 else np.float64).eps)
         self.obstacles: ObstacleForces | None = None
+        coefficient = layout.bodies[body].stiffness_damping
+        self.damping = StiffnessDamping(self.elements, coefficient, launcher, real) if coefficient > 0.0 else None
         self._material = _material(layout, body, node)
         self._mean_stiffness = float(self._material.stiffness.mean())
         self._mean_mass = float(layout.mass[node].mean())
@@ -170,6 +174,8 @@ class Newton:
     def evaluate(self) -> Evaluation:
         """Forces at `position`."""
         self._find_forces()
+        if self.damping is not None:
+            self.damping.add_forces(self._position, self._force)
         if self.obstacles is not None:
             self.obstacles.add_forces(self._position, self._force)
         self._find_least()
@@ -179,11 +185,13 @@ class Newton:
         return Evaluation(np.sqrt(square), rounding, quadratic, work, float(self._least.numpy().min()))
 
     def elastic_energy(self) -> float:
-        """[J] at `position`, with that of obstacles."""
+        """[J] at `position`, with that of obstacles and, as the step's potential, damping."""
         inputs = [self.elements, self._position]
         self._launcher.launch(
             self._law.energy, self.tet_count, inputs, [self._energy], work_per_item=tet_elements.ENERGY_WORK
         )
+        if self.damping is not None:
+            self.damping.add_energy(self._position, self._energy)
         chunk = chunk_size(self.tet_count, self._launcher.device)
         parts = self._energy_parts
         self._launcher.launch(self._kernels.total, len(parts), [chunk, self._energy], [parts])
@@ -216,6 +224,8 @@ class Newton:
         work = tet_elements.SEMI_DEFINITE_WORK if hessian == "semi_definite" else tet_elements.PROJECTED_WORK
         inputs = [self.elements, self._position]
         self._launcher.launch(kernel, self.tet_count, inputs, [self._tet_blocks], work_per_item=work)
+        if self.damping is not None:
+            self.damping.add_stiffness(self._tet_blocks)
         if self.obstacles is not None:
             self.obstacles.add_stiffness(self._tet_blocks)
         self.rows.assemble(self._tet_blocks, self.unknowns.weight)
