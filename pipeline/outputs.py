@@ -53,11 +53,11 @@ class Outputs:
 
     def _mesh_frame(self, output: MeshOutput, time: float) -> PrimFrame:
         tets, body = self._tets, output.body
-        skin = tets.points(body)
-        points = output.drawn(skin, tets.nodes(body))
+        points = output.drawn(tets.points(body), tets.nodes(body))
         velocities = output.drawn(tets.velocities(body), tets.node_velocities(body))
         carried = self._normals.get(output.prim_path)
-        return prim_frame(output, points, velocities, time, normals=None if carried is None else carried.at(skin))
+        normals = None if carried is None else carried.at(points)
+        return prim_frame(output, points, velocities, time, normals=normals)
 
 
 def prim_frame(

@@ -111,7 +111,7 @@ class MeshNormals:
 
     values: (group_count, 3) float64, unit, in the space of `rest`: equal normals at one place are one group.
     group_of: (n,) int64, as many as authored.
-    triangles: (m, 3) int32 and rest: (p, 3) [m]: the skin they are drawn on, and where it lies meanwhile.
+    triangles: (m, 3) int32 into the authored points, and rest: (point count, 3) [m], where those lie meanwhile.
     groups, carriers: (k,) pairs of a group and one of the triangles that turn it.
     """
 
@@ -130,7 +130,8 @@ class MeshOutput(PrimOutput):
     body: index into `Scene.bodies`.
     point_map: (authored point count,) int32: the point of the body's skin (`of_nodes`: the node) that each
         authored point takes its place from; -1 for those that `loose` places.
-    loose: points of the prim that no face or tet holds, and where they lie in the body's tets.
+    loose: points of the prim that no face or tet holds, or all of a mesh that is drawn in another's tets, and
+        where they lie in these.
     normals: authored ones, which are to be refreshed; None for none, or none that can be.
     """
 

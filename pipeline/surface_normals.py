@@ -22,7 +22,7 @@ class SurfaceNormals:
         self._parts = np.einsum("kji,kj->ki", edges[normals.carriers], shown)
 
     def at(self, points: np.ndarray) -> np.ndarray:
-        """(n, 3) float64, unit, scene world. points: (p, 3), the skin as it is now.
+        """(n, 3) float64, unit, scene world. points: (point count, 3) as authored, where they are now.
 
         A normal that no triangle carries, or only triangles without area, stays as authored.
         """

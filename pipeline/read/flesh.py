@@ -85,7 +85,7 @@ def read_tissue(source: Source, body: Body, given: Given) -> Tissue:
         restitution=given["restitution"],
     )
     sizes = {"tets": count, "nodes": len(tets.nodes), "pinned": int(pinned.sum())}
-    return Tissue(body, skin, tets, _output(source, body, skin, point_map, inner), sizes)
+    return Tissue(body, skin, tets, _output(source, body, point_map, inner), sizes)
 
 
 # --- the skin ---------------------------------------------------------------------------------------------------
@@ -265,7 +265,7 @@ def _skeleton(body: Body, skin: Surface, inner: _Inner) -> tuple[np.ndarray, np.
 # --- the way back -----------------------------------------------------------------------------------------------
 
 
-def _output(source: Source, body: Body, skin: Surface, point_map: np.ndarray, inner: _Inner) -> MeshOutput:
+def _output(source: Source, body: Body, point_map: np.ndarray, inner: _Inner) -> MeshOutput:
     to_local = WorldToLocal(source, body.prim)
     to_local(body.start)
     of_nodes = inner.node_of is not None
@@ -284,5 +284,25 @@ def _output(source: Source, body: Body, skin: Surface, point_map: np.ndarray, in
         point_map=point_map,
         of_nodes=of_nodes,
         loose=loose,
-        normals=read_mesh_normals(source, body, skin),
+        normals=read_mesh_normals(source, body),
+    )
+
+
+def ride(source: Source, body: Body, host: Tissue) -> MeshOutput:
+    """The way back of a mesh that is drawn in the tets of `host`, from how it lies in them at the first frame."""
+    to_local = WorldToLocal(source, body.prim)
+    to_local(body.start)
+    to_host = np.linalg.solve(host.body.rest_to_world, body.rest_to_world)
+    places = transform(to_host, body.surface.points[body.welded])
+    where, report = embed(places, Lattice(host.tets.nodes, host.tets.tets))
+    if report.strong:
+        source.warn(f"{report.strong} points lie outside the tets of {host.body.path}: extrapolated", body.prim)
+    return MeshOutput(
+        body.path,
+        to_local,
+        skinned=body.binding is not None,
+        body=host.output.body,
+        point_map=np.full(len(places), -1),
+        loose=Embedded(np.arange(len(places)), host.tets.tets[where.tet], where.barycentric),
+        normals=read_mesh_normals(source, body),
     )

@@ -8,16 +8,14 @@ from plait.pipeline.read.normals import LEAST, authored_normals
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Body
 from plait.pipeline.shot import MeshNormals
-from plait.solver.scene import Surface
 
 # Normals closer than this at one place are one, on either side of a seam of the texture.
 SAME = 1e-3
 
 
-def read_mesh_normals(source: Source, body: Body, skin: Surface) -> MeshNormals | None:
-    """Authored normals in the space of the skin's rest points; None, with a warning, if unfit.
+def read_mesh_normals(source: Source, body: Body) -> MeshNormals | None:
+    """Authored normals in the space of the body's rest points; None, with a warning, if unfit.
 
-    skin: the body's surface as it is simulated, triangle by triangle the same.
     A normal is carried by the triangles about its point that are shaded with it: on either side of a crease those
     of that side. Normals that fit no interpolation or have no direction are dropped from the result.
     """
@@ -30,7 +28,7 @@ def read_mesh_normals(source: Source, body: Body, skin: Surface) -> MeshNormals 
         "faceVarying": body.authored_corners,
         "uniform": np.repeat(body.face_of[:, None], 3, axis=1),
     }.get(interpolation)
-    if corners is None or not _fits(source, body, interpolation, len(given)):
+    if corners is None or not _fits(body, interpolation, len(given)):
         problem = f"{len(given)} values, interpolation {interpolation}, do not follow the mesh"
         source.warn(f"{problem}; the result has none", body.prim, name)
         return None
@@ -41,7 +39,7 @@ def read_mesh_normals(source: Source, body: Body, skin: Surface) -> MeshNormals 
         source.warn("some have no direction; the result has none", body.prim, name)
         return None
     values = turned / np.maximum(length, LEAST)
-    places = corners if interpolation == "uniform" else skin.triangles
+    places = corners if interpolation == "uniform" else body.surface.triangles
     keys = np.column_stack([places.ravel(), np.rint(values[corners.ravel()] / SAME)]).astype(np.int64)
     _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     group = group.ravel()
@@ -54,14 +52,14 @@ def read_mesh_normals(source: Source, body: Body, skin: Surface) -> MeshNormals 
     return MeshNormals(
         values=np.concatenate([values[corners.ravel()[first]], values[hidden]]),
         group_of=group_of,
-        triangles=skin.triangles,
-        rest=skin.points,
+        triangles=body.authored_points,
+        rest=body.surface.points[body.welded],
         groups=pairs[:, 0],
         carriers=pairs[:, 1],
     )
 
 
-def _fits(source: Source, body: Body, interpolation: str, count: int) -> bool:
+def _fits(body: Body, interpolation: str, count: int) -> bool:
     return count == {
         "vertex": len(body.welded),
         "varying": len(body.welded),

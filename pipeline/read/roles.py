@@ -11,9 +11,10 @@ from plait.pipeline.read.skeletons import INFLUENCES, Skeletons
 from plait.pipeline.read.source import PREDICATE, Source
 
 CHOICES = ("strands", "flesh", "cloth", "rigid", "sand", "snow", "enriched", "collider", "none")
+DEFORMABLE_BODY, VOLUME = "PhysicsDeformableBodyAPI", "PhysicsVolumeDeformableSimAPI"
 APPLIED = {
     "PhysicsCurvesDeformableSimAPI": "strands",
-    "PhysicsVolumeDeformableSimAPI": "flesh",
+    VOLUME: "flesh",
     "PhysicsSurfaceDeformableSimAPI": "cloth",
 }
 # Roles whose physics does not exist yet. Their prims stay as authored, and strands collide with them as such.
@@ -28,6 +29,7 @@ class Role:
     """role: of CHOICES, PROP or SKIPPED.  recognised: by what.  reason: why skipped or refused.
     authored: the shot says so, rather than that nothing speaks against it.
     carries: strands may grow on it though it has no role: a visible mesh.
+    rides: path of the TetMesh in whose tets it is drawn, '' for none: a deformable body's other meshes.
     """
 
     prim: Usd.Prim
@@ -37,11 +39,12 @@ class Role:
     authored: bool = True
     supported: bool = True
     carries: bool = False
+    rides: str = ""
 
     @property
     def collides(self) -> bool:
         """Whether strands collide with it; also with what is skipped by its own physics: it stays where it is."""
-        if not is_solid(self.prim) or self.role not in ("collider", PROP, "flesh", "cloth", "rigid"):
+        if not is_solid(self.prim) or self.role not in ("collider", PROP, "flesh", "cloth", "rigid") or self.rides:
             return False
         by_physics = self.role in ("rigid", PROP) and not self.recognised.startswith("plait:role")
         return not by_physics or has_collision(self.prim)
@@ -91,6 +94,9 @@ class _Assignment:
         if own is not None:
             return own
         schemas = applied_schemas(prim)
+        host = self._tets_beside(prim) if prim.IsA(UsdGeom.Mesh) and not schemas & set(APPLIED) else None
+        if host is not None:
+            return Role(prim, "flesh", f"beside {host.GetPath()}", rides=str(host.GetPath()))
         body, body_schemas = self._body_above(prim)
         for name, role in APPLIED.items():
             if name in schemas:
@@ -140,6 +146,19 @@ class _Assignment:
             raise self._source.error(
                 f"is '{value}', which a {prim.GetTypeName()} cannot be", prim, "plait:role", "author another role"
             )
+
+    def _tets_beside(self, prim: Usd.Prim) -> Usd.Prim | None:
+        """The TetMesh that is simulated for the deformable body the prim is part of."""
+        holder = prim.GetParent()
+        while holder and not holder.IsPseudoRoot():
+            schemas = applied_schemas(holder)
+            if schemas & {DEFORMABLE_BODY, VOLUME}:
+                for other in Usd.PrimRange(holder, PREDICATE):
+                    if other.IsA(UsdGeom.TetMesh) and VOLUME in schemas | applied_schemas(other):
+                        return other
+                return None
+            holder = holder.GetParent()
+        return None
 
     def _body_above(self, prim: Usd.Prim) -> tuple[Usd.Prim | None, set[str]]:
         holder = prim.GetParent()

@@ -22,7 +22,7 @@ from plait.pipeline.read.skeletons import Skeletons
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Bodies, Body
 from plait.pipeline.read.tissue import Tissue, estimate
-from plait.pipeline.shot import CurveOutput, PrimReport, Shot
+from plait.pipeline.shot import CurveOutput, MeshOutput, PrimReport, Shot
 from plait.solver.scene import RootBinding, Scene, Strands, Surface
 
 
@@ -88,7 +88,7 @@ class _Reader:
         )
         self._tell_of_skipped_curves()
         reports = tuple(self._report(role, carrying, grooms, tissues) for role in self.roles)
-        meshes = tuple(replace(tissue.output, body=index) for index, tissue in enumerate(tissues.values()))
+        meshes = (*(tissue.output for tissue in tissues.values()), *self._riders(tissues))
         return Shot(self.source.info, scene, tuple(outputs), reports, meshes=meshes)
 
     # --- strands ----------------------------------------------------------------------------------------------
@@ -190,7 +190,19 @@ class _Reader:
         return read_tissue(self.source, body, given)
 
     def _flesh_roles(self) -> list[Role]:
-        return [role for role in self.roles if role.role == "flesh" and role.supported]
+        return [role for role in self.roles if role.role == "flesh" and role.supported and not role.rides]
+
+    def _riders(self, tissues: dict[str, Tissue]) -> list[MeshOutput]:
+        """The other meshes of deformable bodies."""
+        if not self.fill:
+            return []
+        from plait.pipeline.read.flesh import ride
+
+        riders = [(role, self.bodies.get(role.prim)) for role in self._riding(tissues)]
+        return [ride(self.source, body, tissues[role.rides]) for role, body in riders if body is not None]
+
+    def _riding(self, tissues: dict[str, Tissue]) -> list[Role]:
+        return [role for role in self.roles if role.supported and role.rides in tissues]
 
     # --- surfaces ---------------------------------------------------------------------------------------------
 

@@ -303,6 +303,30 @@ def test_a_tet_mesh_is_used_as_it_is(tets: str, more: str, warns: bool, read) ->
     assert any("inside out" in line for line in shot.warnings) is warns
 
 
+@pytest.mark.parametrize("api_on", ["body", "tets"])
+def test_other_meshes_of_a_deformable_body_are_drawn_in_its_tets(api_on: str, read) -> None:
+    """As tools lay a deformable body out: a TetMesh to simulate, meshes beside it to look at or to collide with.
+
+    A mesh within the tets follows any affine map of theirs; it is neither a body nor a collider of its own.
+    """
+    on_body = ["PhysicsDeformableBodyAPI"] if api_on == "tets" else ["PhysicsVolumeDeformableSimAPI"]
+    tets = TETS.format(tets="(1, 2, 3, 4), (2, 3, 4, 5)", more="")
+    if api_on == "body":
+        tets = tets.replace(' (prepend apiSchemas = ["PhysicsVolumeDeformableSimAPI"])', "")
+    look = _mesh(0.1 * POINTS + 0.25, name="Look", schemas=("PhysicsCollisionAPI",), more="normal3f[] normals = "
+                 + _array(POINTS))  # fmt: skip
+    shot = read(f'def Xform "Body" (prepend apiSchemas = ["{on_body[0]}"])\n{{\n{tets}\n{look}\n}}\n')
+    body, surface = _body(shot)
+    assert [s.name for s in shot.scene.surfaces] == ["/Body/Blob"] == [body.name]
+    output = next(output for output in shot.meshes if output.prim_path == "/Body/Look")
+    matrix = np.array([[1.0, 0.2, 0.0], [0.0, 1.5, 0.1], [0.3, 0.0, 0.8]])
+    drawn = output.drawn(surface.points @ matrix.T, body.nodes @ matrix.T)
+    np.testing.assert_allclose(drawn, (0.1 * POINTS + 0.25) @ matrix.T, atol=FLOAT32)
+    assert output.has_normals
+    look_report = next(prim for prim in shot.prims if prim.path == "/Body/Look")
+    assert look_report.role == "flesh" and "/Body/Blob" in look_report.recognised
+
+
 def test_tets_of_a_file(read, tmp_path: Path) -> None:
     """Through meshio, in the prim's own units; a file in others does not hold the mesh."""
     import meshio
