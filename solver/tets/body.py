@@ -45,6 +45,17 @@ class Tally:
     tangles: int = 0
 
 
+@dataclass(frozen=True)
+class Report:
+    """Of a body at a frame's end: energies [J], the smallest J of its tets, how many are inside out."""
+
+    kinetic_energy: float
+    elastic_energy: float
+    potential_energy: float
+    least_volume: float
+    inverted: int
+
+
 class BodySolver:
     """Advances body `index` of the layout. Of the stage's arrays, it touches those of its own nodes alone.
 
@@ -91,6 +102,7 @@ class BodySolver:
         self._edge, self._wave = edge, float(np.sqrt(young / density))
         self.struck = False
         self.tally = Tally()
+        self._report: Report | None = None
 
     @property
     def asleep(self) -> bool:
@@ -242,6 +254,27 @@ class BodySolver:
         bad = ~np.isfinite(self._motion.position.numpy()[self._nodes]).all(axis=1)
         bad |= ~np.isfinite(self._motion.base.numpy()[self._nodes]).all(axis=1)
         raise Diverged("position", self._layout.where(self._nodes.start + int(np.argmax(bad))), self._time)
+
+    # -- what a frame took -----------------------------------------------------------------------------------
+
+    def begin_frame(self) -> None:
+        self.tally = Tally()
+
+    def report(self) -> Report:
+        """Of the body as it is; found anew only if it moved in this frame."""
+        if self._report is None or self.tally.steps:
+            mass = self._layout.mass[self._nodes]
+            velocity = self._motion.velocity.numpy()[self._nodes]
+            weighted = mass @ self._motion.position.numpy()[self._nodes]
+            volumes = np.ones(1) if self.newton is None else self.newton.volumes()
+            self._report = Report(
+                kinetic_energy=0.5 * float(mass @ np.square(velocity).sum(axis=1)),
+                elastic_energy=0.0 if self.newton is None else self.newton.elastic_energy(),
+                potential_energy=-float(weighted @ np.array(self._step.gravity)),
+                least_volume=float(volumes.min()),
+                inverted=int((volumes <= 0.0).sum()),
+            )
+        return self._report
 
     # -- tangles ---------------------------------------------------------------------------------------------
 

@@ -162,9 +162,9 @@ class Newton:
         calm = min(here.least_volume, there.least_volume) > SQUEEZED
         if calm and there.residual <= here.residual:
             return there
-        energy = self.elastic_energy() + there.quadratic
+        energy = self._potential() + there.quadratic
         self._advance(0.0)
-        if energy <= self.elastic_energy() + here.quadratic:
+        if energy <= self._potential() + here.quadratic:
             self._launcher.launch(self._kernels.put, count, [self.unknowns, guess], [self._position])
             return self.evaluate()
         return self.evaluate()
@@ -185,18 +185,33 @@ class Newton:
         return Evaluation(np.sqrt(square), rounding, quadratic, work, float(self._least.numpy().min()))
 
     def elastic_energy(self) -> float:
-        """[J] at `position`, with that of obstacles and, as the step's potential, damping."""
+        """[J] at `position`."""
+        self._find_energy()
+        return self._sum_energy()
+
+    def _find_energy(self) -> None:
         inputs = [self.elements, self._position]
         self._launcher.launch(
             self._law.energy, self.tet_count, inputs, [self._energy], work_per_item=tet_elements.ENERGY_WORK
         )
+
+    def _sum_energy(self) -> float:
+        chunk, parts = chunk_size(self.tet_count, self._launcher.device), self._energy_parts
+        self._launcher.launch(self._kernels.total, len(parts), [chunk, self._energy], [parts])
+        return float(parts.numpy().sum())
+
+    def _potential(self) -> float:
+        """[J] at `position`: what is minimised beside the quadratic; elasticity, damping and obstacles."""
+        self._find_energy()
         if self.damping is not None:
             self.damping.add_energy(self._position, self._energy)
-        chunk = chunk_size(self.tet_count, self._launcher.device)
-        parts = self._energy_parts
-        self._launcher.launch(self._kernels.total, len(parts), [chunk, self._energy], [parts])
         of_obstacles = self.obstacles.energy(self._position) if self.obstacles is not None else 0.0
-        return float(parts.numpy().sum()) + of_obstacles
+        return self._sum_energy() + of_obstacles
+
+    def volumes(self) -> np.ndarray:
+        """(tet_count,) J of each tet at `position`: its volume over that at rest."""
+        self._find_forces()
+        return self._dilation.numpy()
 
     @cached_property
     def _energy(self) -> wp.array:
@@ -320,9 +335,9 @@ class Newton:
                 return there
             if energy is None:
                 self._advance(0.0)
-                energy = self.elastic_energy() + here.quadratic
+                energy = self._potential() + here.quadratic
                 self._advance(fraction)
-            change = self.elastic_energy() + there.quadratic - energy
+            change = self._potential() + there.quadratic - energy
             if change <= -ARMIJO * fraction * slope:
                 return there
             lost = abs(change) <= 1e-12 * abs(energy)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -83,8 +82,7 @@ class TetStage:
         self._motion.position_before.assign(start)
 
     def _make_contact(self, state: State) -> Any:
-        if find_spec("plait.solver.contact.body_contact") is None:
-            return None
+        """None where nothing can ever touch."""
         from plait.solver.contact.body_contact import build_contact
 
         return build_contact(self._model, state, self.layout)
@@ -94,6 +92,7 @@ class TetStage:
     def begin_frame(self, state: State, frame: Interval) -> None:
         """Lets go what is tangled for good; what a body can skip, it finds out step by step."""
         for body in self._bodies:
+            body.begin_frame()
             body.recover(frame.start, float(self._past.numpy()[0]))
 
     def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
@@ -167,7 +166,21 @@ class TetStage:
         finite = np.isfinite(self.position.numpy()).all(axis=1)
         if not finite.all():
             raise Diverged("position", self.layout.where(int(np.argmin(finite))), frame.end)
-        return self._contact.end_frame() if self._contact is not None else {}
+        tallies, reports = [body.tally for body in self._bodies], [body.report() for body in self._bodies]
+        contact = self._contact.end_frame() if self._contact is not None else {}
+        return contact | {
+            "newton_iterations": sum(tally.newton_iterations for tally in tallies),
+            "linear_iterations": sum(tally.linear_iterations for tally in tallies),
+            "unconverged": sum(tally.unconverged for tally in tallies),
+            "pops": sum(tally.pops for tally in tallies),
+            "tangles": sum(tally.tangles for tally in tallies),
+            "asleep": sum(body.asleep for body in self._bodies),
+            "kinetic_energy": sum(report.kinetic_energy for report in reports),
+            "elastic_energy": sum(report.elastic_energy for report in reports),
+            "potential_energy": sum(report.potential_energy for report in reports),
+            "least_volume": min(report.least_volume for report in reports),
+            "inverted": sum(report.inverted for report in reports),
+        }
 
     # -- results -------------------------------------------------------------------------------------------
 
