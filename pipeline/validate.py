@@ -100,7 +100,7 @@ def skinned_prims(stage: Usd.Stage) -> set[str]:
 
 def _sample_findings(prim: UsdGeom.PointBased) -> Iterator[Finding]:
     path, points = str(prim.GetPath()), prim.GetPointsAttr()
-    count = _expected_count(prim)
+    count, named = _expected_count(prim), _named_points(prim)
     for code in points.GetTimeSamples():
         place = f"at frame {code:g}"
         values = {
@@ -116,6 +116,10 @@ def _sample_findings(prim: UsdGeom.PointBased) -> Iterator[Finding]:
         for name, size in sizes.items():
             if size != count:
                 yield Finding("plait:Count", f"{path}.{name}", f"has {size} values, not {count}, {place}")
+        if sizes["points"] < named:
+            yield Finding(
+                "plait:Count", f"{path}.points", f"has {sizes['points']} values, faces use {named}, {place}"
+            )
         if "extent" not in values or not _contains(values["extent"], values["points"], prim, code):
             yield Finding("plait:Extent", f"{path}.extent", f"does not hold all points {place}")
 
@@ -125,6 +129,16 @@ def _expected_count(prim: UsdGeom.PointBased) -> int | None:
     curves = UsdGeom.Curves(prim)
     counts = curves.GetCurveVertexCountsAttr().Get(Usd.TimeCode.EarliestTime()) if curves else None
     return None if counts is None else int(sum(counts))
+
+
+def _named_points(prim: UsdGeom.PointBased) -> int:
+    """How many points the faces or tets of a mesh need at least."""
+    names = {UsdGeom.Mesh: "faceVertexIndices", UsdGeom.TetMesh: "tetVertexIndices"}
+    for schema, name in names.items():
+        if prim.GetPrim().IsA(schema):
+            indices = np.array(prim.GetPrim().GetAttribute(name).Get(Usd.TimeCode.EarliestTime()) or [])
+            return int(indices.max(initial=-1)) + 1
+    return 0
 
 
 def _contains(extent: np.ndarray, points: np.ndarray, prim: UsdGeom.PointBased, code: float) -> bool:

@@ -204,6 +204,21 @@ def test_again_and_resumed_it_ends_in_the_same_bits(shot, result, tmp_path, monk
     assert samples(output) == expected
 
 
+@pytest.mark.parametrize("prim", [LIMB, BLOB])
+def test_points_that_faces_miss_are_found(result, tmp_path, prim):
+    """A cache that lost points does not pass."""
+    stage = Usd.Stage.Open(str(result))
+    attribute = stage.GetPrimAtPath(prim).GetAttribute("points")
+    short = Vt.Vec3fArray(list(attribute.Get(2))[:-1])
+    over = Sdf.Layer.CreateAnonymous(".usda")
+    over.TransferContent(stage.GetRootLayer())
+    over.subLayerPaths = [str(result.parent / path) for path in over.subLayerPaths]
+    spec = Sdf.AttributeSpec(Sdf.CreatePrimInLayer(over, prim), "points", Sdf.ValueTypeNames.Point3fArray)
+    over.SetTimeSample(spec.path, 2.0, short)
+    over.Export(str(tmp_path / "spoilt.usda"))
+    assert "plait:Count" in {finding.check for finding in validate(tmp_path / "spoilt.usda")}
+
+
 def test_packed_and_compared_it_is_the_same(result, tmp_path):
     packed = tmp_path / "packed.usdc"
     assert main(["pack", str(result), "-o", str(packed)]) == EXIT_DONE
