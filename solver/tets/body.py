@@ -11,6 +11,7 @@ import warp as wp
 from plait.solver.diagnostics import Diverged
 from plait.solver.model import Interval, Model
 from plait.solver.tets.body_kernels import body_kernels
+from plait.solver.tets.explicit import ExplicitSteps
 from plait.solver.tets.integrators import Scheme
 from plait.solver.tets.layout import TetLayout
 from plait.solver.tets.momentum import WholeBody, rotation_with_spin
@@ -88,6 +89,9 @@ class BodySolver:
         if not len(self.targets.driven):
             self._whole = WholeBody(self._nodes, model.launcher)
             self._ones = wp.ones(layout.node_count, dtype=wp.float64, device=device)
+        self._explicit: ExplicitSteps | None = None
+        if self._settings.integrator == "symplectic-euler" and self.newton is not None:
+            self._explicit = ExplicitSteps(self.newton, layout, index, model.launcher, real)
         self._recovery = Recovery(layout, index, self.targets.driven, tangle, model.launcher, real)
         self._arrays = [getattr(motion, name)[self._nodes] for name in HELD]
         self._kept = [wp.zeros_like(array) for array in self._arrays]
@@ -141,6 +145,9 @@ class BodySolver:
         """The elastic step with obstacles and the contact impulses so far; whether it converged."""
         if self._skipped or self.newton is None:
             converged = True
+        elif self.newton.obstacles is None and self._explicit is not None:
+            self._explicit.advance(self._step, self._motion)
+            return True
         elif self.newton.obstacles is None:
             converged = self._minimise() if self._whole is None else self._minimise_free()
         else:

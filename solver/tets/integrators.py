@@ -44,4 +44,13 @@ def bdf2(length: float, length_before: float) -> Scheme:
     )
 
 
-IMPLICIT: dict[str, Callable[[float, float], Scheme]] = {"bdf2": bdf2, "backward-euler": backward_euler}
+def symplectic_euler(length: float, length_before: float) -> Scheme:
+    """First order, explicit, in steps of its own (see `explicit.py`); to contact it looks like backward Euler."""
+    return backward_euler(length, length_before)
+
+
+SCHEMES: dict[str, Callable[[float, float], Scheme]] = {
+    "bdf2": bdf2,
+    "backward-euler": backward_euler,
+    "symplectic-euler": symplectic_euler,
+}

@@ -43,6 +43,12 @@ class TetLayout:
     def nodes(self, body: int) -> slice:
         return slice(int(self.first_node[body]), int(self.first_node[body + 1]))
 
+    def slopes(self, body: int) -> np.ndarray:
+        """(tet_count, 4, 3) [1/m]: the shape gradients of the corners of the body's tets, at rest."""
+        corners = self.rest[self.tets[self.first_tet[body] : self.first_tet[body + 1]]]
+        inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1))
+        return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+
     def skin_nodes(self, body: int) -> np.ndarray:
         """(point_count, 4) int32, into all nodes: the corners of the tet that each point of the skin lies in."""
         first = int(self.first_tet[body])

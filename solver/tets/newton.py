@@ -171,6 +171,11 @@ class Newton:
 
     # -- the parts of an iteration ---------------------------------------------------------------------------
 
+    def find_forces(self) -> wp.array:
+        """(4 tet_count,) vec3 [N]: the elastic force at `position` on corner a of tet t, at 4 t + a."""
+        self._find_forces()
+        return self._force
+
     def evaluate(self) -> Evaluation:
         """Forces at `position`."""
         self._find_forces()
@@ -347,19 +352,12 @@ class Newton:
         return None
 
 
-def _slopes(layout: TetLayout, tets: np.ndarray) -> np.ndarray:
-    """(tet_count, 4, 3) [1/m] shape gradients of the corners, at rest."""
-    corners = layout.rest[tets]
-    inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1))
-    return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
-
-
 def _material(layout: TetLayout, body: int, node: np.ndarray) -> Material:
     """Of the unknowns at `node`, (unknown_count,)."""
     tet_range = slice(int(layout.first_tet[body]), int(layout.first_tet[body + 1]))
     tets, volume = layout.tets[tet_range], layout.volume[tet_range]
     mu, lam = lame_parameters(layout.bodies[body].youngs_modulus, layout.bodies[body].poissons_ratio)
-    slopes, pinned = _slopes(layout, tets), layout.pinned[tets]
+    slopes, pinned = layout.slopes(body), layout.pinned[tets]
     # A third of the trace of a diagonal block; and of what couples a corner to pinned ones, if that holds it back.
     modulus = (volume * (4.0 * mu + lam) / 3.0)[:, None]
     own = modulus * np.square(slopes).sum(axis=2)

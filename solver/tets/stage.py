@@ -12,7 +12,7 @@ from plait.solver.model import Interval, Model
 from plait.solver.state import State
 from plait.solver.tets.body import BodySolver
 from plait.solver.tets.body_kernels import body_kernels
-from plait.solver.tets.integrators import IMPLICIT, Scheme
+from plait.solver.tets.integrators import SCHEMES, Scheme
 from plait.solver.tets.layout import build_layout
 from plait.solver.tets.skin import Skin
 
@@ -101,7 +101,7 @@ class TetStage:
         Does not stand where a body's elastic solve did not converge.
         """
         self._kept_past = float(self._past.numpy()[0])
-        scheme = IMPLICIT[self._model.settings.flesh.integrator](substep.length, self._kept_past)
+        scheme = SCHEMES[self._model.settings.flesh.integrator](substep.length, self._kept_past)
         self._past.fill_(substep.length)
         for body in self._bodies:
             body.begin(substep, scheme)
