@@ -104,7 +104,7 @@ class BodySolver:
         self._rest_residual = REST[real] * edge / REST_TIME**2 * mean_mass * np.sqrt(len(free))
         young, density = np.max(self._body.youngs_modulus), np.mean(self._body.density)
         self._edge, self._wave = edge, float(np.sqrt(young / density))
-        self.struck = False
+        self.struck = self._meets = False
         self.tally = Tally()
         self._report: Report | None = None
 
@@ -174,7 +174,7 @@ class BodySolver:
             step.start, step.before, step.reach = 1.0, 0.0, step.length
             self._over_nodes(self._kernels.restart)
             obstacles.pushes(self._motion.position, step.reach)
-        self.newton.obstacles = obstacles
+        self.newton.obstacles, self._meets = obstacles, True
         return self.solve()
 
     def wake(self, substep: Interval, scheme: Scheme) -> None:
@@ -225,6 +225,10 @@ class BodySolver:
                 self._fall_asleep()
                 return True
             self._reference = here.residual
+            here = newton.start_from(motion.predicted, here)
+        elif self._meets:
+            # What lay on something lies there still: more likely there than where it would have fallen to.
+            self._meets = False
             here = newton.start_from(motion.predicted, here)
         tolerance = settings.tolerance * (1.0 if newton.obstacles is None else WITH_OBSTACLES)
         outcome = newton.minimise(here, self._reference, tolerance, settings.max_iterations, step.reach)
