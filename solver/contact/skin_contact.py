@@ -12,7 +12,9 @@ from plait.solver.contact.contact_rows import ContactRows, Contacts
 from plait.solver.contact.patches import SkinPatches
 from plait.solver.contact.skin_search_kernels import SLOTS, Skins, Touching, find_places
 from plait.solver.model import Interval, Model
+from plait.solver.scene import Scene
 from plait.solver.state import State
+from plait.solver.tets.layout import TetLayout
 
 # [cells] Gap kept between skins, beyond which they are free; and how far ahead contact looks beyond what moves.
 KEPT_GAP, LOOK_AHEAD = 0.02, 0.1
@@ -25,6 +27,8 @@ INNER_SWEEPS = 4
 DEFAULT_FRICTION = 0.5
 # A force goes on in a contact whose normal is within this (cosine) of it.
 ALIKE = 0.5
+# How far impulses act from a tet, in changes of its barycentric weights.
+FURTHEST = 1.0
 
 
 class SkinContact:
@@ -42,11 +46,9 @@ class SkinContact:
         self._patches = SkinPatches(particles, APART_AT_REST * self._cell, model.launcher)
         self._rows = ContactRows(mobile, model.launcher)
         bodies = particles.layout.bodies
-        told = [model.scene.surfaces[body.surface].friction for body in bodies]
-        self._friction = np.array([DEFAULT_FRICTION if f is None else f for f in told])
+        self._friction = told_friction(model.scene, particles.layout)
         self._restitution = np.array([body.restitution for body in bodies])
-        kept = [model.scene.surfaces[body.surface].thickness for body in bodies]
-        self._thickness = np.array(kept)
+        self._thickness = np.array([model.scene.surfaces[body.surface].thickness for body in bodies])
         self._skins = self._make_skins()
         device, slots = model.launcher.device, particles.count * SLOTS
         self._touching, self._before = _touching(slots, device), _touching(slots, device)
@@ -234,6 +236,12 @@ class SkinContact:
         return metrics
 
 
+def told_friction(scene: Scene, layout: TetLayout) -> np.ndarray:
+    """(body_count,) Coulomb coefficients of the bodies' skins."""
+    told = [scene.surfaces[body.surface].friction for body in layout.bodies]
+    return np.array([DEFAULT_FRICTION if friction is None else friction for friction in told])
+
+
 def _touching(slots: int, device: wp.Device) -> Touching:
     touching = Touching()
     touching.triangle = wp.full(slots, -1, dtype=wp.int32, device=device)
@@ -245,14 +253,16 @@ def _touching(slots: int, device: wp.Device) -> Touching:
 def _weight_change(corners: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """(n, 4) what barycentric weights in tets, (n, 4, 3) [m], change by when their point moves by (n, 3) [m].
 
-    None where the tet is flat.
+    None where that is further than the tet is large, as in one squeezed nearly flat: impulses weighed so far
+    outside of a tet would tear it.
     """
     edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
     size = np.abs(edges).max(axis=(1, 2))
     solid = np.abs(np.linalg.det(edges)) > 1e-6 * size**3
     edges[~solid] = np.eye(3)
     change = np.linalg.solve(edges, shift[:, :, None])[:, :, 0] * solid[:, None]
-    return np.concatenate([-change.sum(axis=1, keepdims=True), change], axis=1)
+    change = np.concatenate([-change.sum(axis=1, keepdims=True), change], axis=1)
+    return np.where(np.abs(change).max(axis=1, keepdims=True) > FURTHEST, 0.0, change)
 
 
 def _weld(particles: CollisionParticles) -> np.ndarray:
