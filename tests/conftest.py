@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,3 +17,16 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip("real samples and references are not part of a clone; they lie beside a developer's checkout")
     return SHARED
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A cache of the test session's own: what earlier versions kept must not decide what is tested."""
+    before = os.environ.get("PLAIT_CACHE")
+    folder = tmp_path_factory.mktemp("cache")
+    os.environ["PLAIT_CACHE"] = str(folder)
+    yield folder
+    if before is None:
+        del os.environ["PLAIT_CACHE"]
+    else:
+        os.environ["PLAIT_CACHE"] = before

@@ -13,6 +13,8 @@ from plait.pipeline.tetrahedra.skin import Inside, prepare
 from plait.solver.scene import Embedding
 
 DEPTH = 0.5
+# Painted depths this close to all flesh or all bone are that.
+EXTREME = 0.05
 # A joint's own part: nodes that it moves at least this much.
 MAIN = 0.5
 # A joint moves the flesh at all if some of it has this weight.
@@ -114,8 +116,8 @@ def _depths(lattice: Lattice, embedding: Embedding, depth: np.ndarray | float) -
     if values.ndim == 0 or len(np.unique(values)) == 1:
         return np.full(len(lattice.nodes), float(values.flat[0]))
     result = np.clip(extend(lattice, embedding, values)[:, 0], values.min(), values.max())
-    # Painted extremes are meant to the letter: their neighbourhoods of an iteration's error too.
-    return np.where(result > 1.0 - 1e-3, 1.0, np.where(result < 1e-3, 0.0, result))
+    # Painted extremes are meant to the letter; in the tets they are reached only far from other paint.
+    return np.where(result > 1.0 - EXTREME, 1.0, np.where(result < EXTREME, 0.0, result))
 
 
 def _from_bones(nodes: np.ndarray, owner: np.ndarray, joints: np.ndarray, parents: np.ndarray) -> np.ndarray:

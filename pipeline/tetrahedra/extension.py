@@ -10,8 +10,9 @@ from plait.solver.scene import Embedding
 
 TOLERANCE = 1e-7
 MAX_ITERATIONS = 2000
-# Weight of the skin's values against smoothness, in units of the Laplacian's mean diagonal.
-HOLD = 1e2
+# Weight of the skin's values in each tet against smoothness, in units of the Laplacian's mean diagonal. Much more
+# would tilt the tets at the skin, which reach beyond it, and overshoot inside; much less would miss the values.
+HOLD = 5e1
 
 
 def extend(lattice: Lattice, embedding: Embedding, values: np.ndarray) -> np.ndarray:
@@ -73,14 +74,15 @@ def _smooth(lattice: Lattice, embedding: Embedding, values: np.ndarray) -> np.nd
     edges, weight = laplacian(lattice)
     count = len(lattice.nodes)
     diagonal = np.bincount(edges.ravel(), np.repeat(weight, 2), count)
-    hold = HOLD * diagonal.mean()
     nodes = lattice.tets[embedding.tet]
+    together = np.bincount(embedding.tet, minlength=len(lattice.tets))[embedding.tet]
+    hold = (HOLD * diagonal.mean() / together)[:, None, None]
     b = embedding.barycentric
     # The matrix as entries by row: the Laplacian's, and B^T B of the points in each tet.
     pair = np.arange(4)
     rows = [edges[:, 0], edges[:, 1], np.arange(count), nodes[:, np.repeat(pair, 4)].ravel()]
     columns = [edges[:, 1], edges[:, 0], np.arange(count), nodes[:, np.tile(pair, 4)].ravel()]
-    entries = [-weight, -weight, diagonal, hold * (b[:, :, None] * b[:, None, :]).ravel()]
+    entries = [-weight, -weight, diagonal, (hold * b[:, :, None] * b[:, None, :]).ravel()]
     matrix = Rows(count, np.concatenate(rows), np.concatenate(columns), np.concatenate(entries))
     right = np.zeros((count, values.shape[1]))
     np.add.at(right, nodes, hold * b[:, :, None] * values[:, None, :])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +22,12 @@ def read_tet_mesh(path: str | Path) -> Lattice:
     path = Path(path)
     if not path.is_file():
         raise InputError("no such file", file=path)
+    printed = io.StringIO()  # meshio tells its errors itself, then exits
     try:
-        mesh = meshio.read(path)
+        with redirect_stdout(printed), redirect_stderr(printed):
+            mesh = meshio.read(path)
     except (Exception, SystemExit) as error:
-        told = " ".join(str(error).split()) or type(error).__name__
+        told = " ".join((printed.getvalue() or str(error)).split()) or type(error).__name__
         raise InputError(
             f"cannot be read as a mesh ({told})", file=path, mend="save it as .msh or .vtu"
         ) from error
@@ -33,6 +37,8 @@ def read_tet_mesh(path: str | Path) -> Lattice:
     tets = np.concatenate(cells).astype(np.int64)
     points = np.zeros((len(mesh.points), 3))
     points[:, : mesh.points.shape[1]] = mesh.points
+    if tets.min() < 0 or tets.max() >= len(points):
+        raise InputError(f"a tet names node {tets.max()} of {len(points)}", file=path, mend="export it again")
     if not np.isfinite(points[tets]).all():
         raise InputError("has nodes that are not finite", file=path, mend="export it again")
     used, inverse = np.unique(tets, return_inverse=True)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plait.pipeline.tetrahedra.bcc import TET_VOLUME
 from plait.pipeline.tetrahedra.cover import Cover, adjacent_parts, part_middles
 from plait.pipeline.tetrahedra.graphs import components
 from plait.pipeline.tetrahedra.samples import Pieces
@@ -162,7 +161,8 @@ def _shares(
     some = np.flatnonzero(share > 0.0)
     sheet = on.nearest_sheet(cover.places(where[some]), tets[row[some]])
     length = np.linalg.norm(end - start, axis=1)
-    return sheet, (share * length)[some] * APART**2 / TET_VOLUME
+    total = np.bincount(row, length, len(tets))
+    return sheet, (share * length)[some] / total[row[some]]
 
 
 def _lines(corners: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
