@@ -10,6 +10,7 @@ import warp as wp
 from plait.solver.contact.answers import Answers
 from plait.solver.contact.body_contact_kernels import take_up
 from plait.solver.contact.collision_particles import CollisionParticles
+from plait.solver.contact.grid_rule import PaperRule
 from plait.solver.contact.obstacles import build_obstacles
 from plait.solver.contact.skin_contact import SkinContact
 from plait.solver.model import Interval, Model
@@ -62,7 +63,7 @@ class BodyContact:
     jolt: (node_count,) vec3d [kg m/s], of what contact gave the nodes in this substep, what does not go on from
         the substep before: changes of velocity that an integrator which looks back must not take for motion.
     cell_size: [m] of the grid; particles on the skins lie at most so far apart.
-    particles: those.
+    particles: those.  passes: how often an elastic solve and contact alternate in a substep.
     obstacles: contact with surfaces that no body carries, part of the elastic solve; None without such.
     """
 
@@ -77,7 +78,11 @@ class BodyContact:
         )
         self._answers = Answers(layout, self.particles)
         self._at_once = wp.array(self._answers.at_once, dtype=wp.float64, device=device)
-        self.parts: list[ContactPart] = [SkinContact(model, state, self.particles, self._answers.mobile)]
+        if self.settings.rule == "paper":
+            self.parts: list[ContactPart] = [PaperRule(model, self.particles, self._answers.mobile)]
+        else:
+            self.parts = [SkinContact(model, state, self.particles, self._answers.mobile)]
+        self.passes = 1 if self.settings.rule == "paper" else self.settings.passes
         self._active: list[ContactPart] = []
         self._substep: Interval | None = None
         self.obstacles = build_obstacles(model, state, self.particles)

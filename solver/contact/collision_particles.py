@@ -29,6 +29,7 @@ class CollisionParticles:
     mass: (count,) float64 [kg], see `fit_masses`.  triangles: (triangle_count, 3) int32, of all skins.
     triangle_body: (triangle_count,) int32.  first_triangle_of_particle: (count,) int32, one it lies on, -1: none.
     On the device:
+    adjoint: node offsets (node_count + 1,), particles int32 and weights float64: the particles of each node.
     node_index, weight: `nodes` (vec4i) and `weights` (vec4d).  triangle: `triangles` (vec3i).
     position [m], velocity [m/s], normal: (count,) vec3d, world, as last evaluated.
     """
@@ -68,9 +69,10 @@ class CollisionParticles:
         node = self.nodes[particle, slot]
         order = np.argsort(node, kind="stable")
         node_counts = np.bincount(node, minlength=self.layout.node_count)
-        self._node_offsets = wp.array(_offsets(node_counts), dtype=wp.int32, device=device)
-        self._node_particles = wp.array(particle[order], dtype=wp.int32, device=device)
-        self._node_weights = wp.array(self.weights[particle, slot][order], dtype=wp.float64, device=device)
+        node_offsets = wp.array(_offsets(node_counts), dtype=wp.int32, device=device)
+        node_particles = wp.array(particle[order], dtype=wp.int32, device=device)
+        node_weights = wp.array(self.weights[particle, slot][order], dtype=wp.float64, device=device)
+        self.adjoint = (node_offsets, node_particles, node_weights)
         self.position, self.velocity, self.normal = (
             wp.zeros(self.count, dtype=wp.vec3d, device=device) for _ in range(3)
         )
@@ -109,7 +111,7 @@ class CollisionParticles:
         The exact adjoint of `gather`: as much work is done, and, the weights' sums being one, as much linear and
         angular momentum passed on, as by the impulses on the particles. A gather by node: the same bits always.
         """
-        inputs = [self._node_offsets, self._node_particles, self._node_weights, particle_impulse]
+        inputs = [*self.adjoint, particle_impulse]
         self._launcher.launch(scatter_impulse, self.layout.node_count, inputs, [node_impulse], work_per_item=4)
 
 

@@ -171,7 +171,7 @@ def spread_impulses(
 
 @wp.kernel
 def divide_impulses(first: int, state: RowState):
-    """What of an impulse goes on from the substep before: its force, as far as it still presses; one row an item."""
+    """What of an impulse goes on from the substep before: its force while that still presses; one row an item."""
     c = first + wp.tid()
     before = state.carried[c]
     square = wp.length_sq(before)

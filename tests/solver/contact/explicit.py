@@ -15,6 +15,7 @@ from plait.solver.model import Interval, Model
 from plait.solver.scene import Scene
 from plait.solver.settings import GridSettings, Settings
 from plait.solver.state import State
+from plait.solver.step import MAX_HALVINGS
 from plait.solver.tets.layout import build_layout
 
 
@@ -92,21 +93,27 @@ class Explicit:
         return np.cross(self.position, self.layout.mass[:, None] * self.velocity).sum(axis=0)
 
     def step(self, h: float) -> bool:
-        """One step of h [s]; whether contact found anything near."""
+        """Moves on by h [s], in halves where contact asks for it; whether contact found anything near."""
+        self.impulse[:] = 0.0
+        return self._advance(h, MAX_HALVINGS)
+
+    def _advance(self, h: float, halvings: int) -> bool:
         start, free = self.position.copy(), ~self.layout.pinned[:, None]
         acceleration = self.forces() / self.layout.mass[:, None] + self.gravity
         velocity = (self.velocity + h * acceleration * free) / (1.0 + h * self.damping)
         position = start + h * velocity
         interval, near = Interval(self.time, self.time + h), False
-        self.impulse[:] = 0.0
         if self.contact is not None:
             x0, x, v = (wp.array(a, dtype=wp.vec3d, device="cpu") for a in (start, position, velocity))
             near = self.contact.begin_substep(interval, x0, x)
+            if near and self.contact.too_fast and halvings:
+                self.contact.retract(interval)
+                return any([self._advance(0.5 * h, halvings - 1) for _ in range(2)])
             if near:
                 self.contact.resolve(x0, x, v, h)
                 self.contact.separate(x)
                 position, velocity = x.numpy().copy(), v.numpy().copy()
-                self.impulse[:] = self.contact.jolt.numpy()
+                self.impulse += self.contact.jolt.numpy()
         self.position, self.velocity, self.time = position, velocity, self.time + h
         return near
 
