@@ -168,7 +168,7 @@ class BodySolver:
         if self._skipped:
             self._skipped = False
             self._begin(substep, scheme)
-        if self._step.before > 0.0 and obstacles.strikes(self._motion.position):
+        if obstacles.strikes(self._motion.position) and self._step.before > 0.0:
             self.struck = True
             step = self._step
             step.start, step.before, step.reach = 1.0, 0.0, step.length
@@ -289,11 +289,19 @@ class BodySolver:
 
     # -- tangles ---------------------------------------------------------------------------------------------
 
-    def recover(self, time: float, past: float) -> None:
-        """Between steps, at `time` [s]: lets go what is tangled for good.  past: [s] length of the step before."""
+    @property
+    def tangled(self) -> bool:
+        """Whether some of it may be."""
+        return self._recovery.suspects
+
+    def recover(self, time: float, past: float, alone: bool) -> None:
+        """Between steps, at `time` [s]: lets go what is tangled for good.
+
+        past: [s] length of the step before.  alone: nothing else is near.
+        """
         motion, nodes = self._motion, self._nodes
         arrays = [motion.position[nodes], motion.velocity[nodes]]
-        found = self._recovery.let_go(time, *arrays)
+        found = self._recovery.let_go(time, *arrays, alone)
         if found is None:
             return
         moved, position, velocity = found

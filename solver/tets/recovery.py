@@ -26,6 +26,8 @@ FULL, EMPTY = 6.0 * np.pi, -2.0 * np.pi
 # [s] A tangle that lasts so long is let go. Twice as long again if it is back, with twice the margin of RINGS tets
 # unless a skeleton may be what holds it.
 PATIENCE, RINGS = 0.25, 2
+# A body tangled all over is put back to its rest shape, if it is alone, after so many times longer.
+ALL_OVER = 4.0
 TOLERANCE, MAX_ITERATIONS = 1e-5, 2000
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
@@ -57,26 +59,35 @@ class Recovery:
             if memory[0] == 0.0:
                 self._memory.assign([1.0, np.inf, 0.0])
 
-    def let_go(self, time: float, position: wp.array, velocity: wp.array) -> tuple[np.ndarray, ...] | None:
+    @property
+    def suspects(self) -> bool:
+        """Whether there may be a tangle."""
+        return bool(self._memory.numpy()[0])
+
+    def let_go(
+        self, time: float, position: wp.array, velocity: wp.array, alone: bool
+    ) -> tuple[np.ndarray, ...] | None:
         """Where a tangle has lasted: nodes (n,), and their new positions and velocities, (n, 3); or None.
 
-        position, velocity: (node_count,) vec3d of the body at `time` [s].
+        position, velocity: (node_count,) vec3d of the body at `time` [s].  alone: nothing else is near it.
         """
-        suspect, since, attempts = self._memory.numpy()
-        if not suspect:
-            return None
+        _, since, attempts = self._memory.numpy()
         position = position.numpy()
         strained = self._strained(position)
         tangled = self._tangled(position, strained)
         if not tangled.any():
             self._memory.assign([float(strained.any()), np.inf, attempts if strained.any() else 0.0])
             return None
-        if time - min(since, time) < PATIENCE * 2.0**attempts:
-            self._memory.assign([1.0, min(since, time), attempts])
+        since = min(since, time)
+        self._memory.assign([1.0, since, attempts])
+        lasted, patience = time - since, PATIENCE * 2.0**attempts
+        if lasted < patience:
             return None
-        self._memory.assign([1.0, time, attempts + 1.0])
         rings = RINGS if self._driven.any() else RINGS * 2 ** int(attempts)
         nodes = self._region(tangled, strained, rings)
+        if len(nodes) == len(self._rest) and (lasted < ALL_OVER * patience or not alone):
+            return None
+        self._memory.assign([1.0, time, attempts + 1.0])
         return nodes, *self._fill(nodes, np.concatenate([position, velocity.numpy()], axis=1))
 
     # -- what is tangled -------------------------------------------------------------------------------------

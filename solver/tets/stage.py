@@ -91,9 +91,20 @@ class TetStage:
 
     def begin_frame(self, state: State, frame: Interval) -> None:
         """Lets go what is tangled for good; what a body can skip, it finds out step by step."""
-        for body in self._bodies:
+        for b, body in enumerate(self._bodies):
             body.begin_frame()
-            body.recover(frame.start, float(self._past.numpy()[0]))
+            if body.tangled:
+                body.recover(frame.start, float(self._past.numpy()[0]), self._alone(b))
+
+    def _alone(self, b: int) -> bool:
+        """Whether a body can touch nothing but itself."""
+        if self._contact is None:
+            return True
+        position, margin = self.position.numpy(), self._contact.cell_size
+        lower, upper = position[self.layout.nodes(b)].min(axis=0), position[self.layout.nodes(b)].max(axis=0)
+        others = [position[self.layout.nodes(k)] for k in range(self.layout.body_count) if k != b]
+        near = any(((x.max(axis=0) > lower - margin) & (x.min(axis=0) < upper + margin)).all() for x in others)
+        return not near and self._bodies[b].newton.obstacles is None
 
     def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
         """Moves every body to the substep's end: elasticity, then contact, in turns while anything is near.
@@ -145,7 +156,7 @@ class TetStage:
         if (stands or last_resort) and contact.begin_substep(substep, start, motion.position):
             if contact.too_fast and not last_resort:
                 return False
-            for _ in range(contact.passes - 1):
+            for _ in range(self._model.settings.grid.passes - 1):
                 contact.resolve(start, motion.position, motion.velocity, scheme.reach, forecast=True)
                 self._take_contact_impulses(contact.impulse, substep, scheme)
                 stands = self._solve() and stands
