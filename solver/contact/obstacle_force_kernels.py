@@ -51,7 +51,7 @@ def push(planes: ObstaclePlanes, slot: int, bound: wp.float64, k: wp.float64, y:
     out = Push()
     n = planes.normal[slot]
     held = planes.pressure[slot]
-    out.pressure = wp.max(held - k * (wp.dot(n, y) - planes.offset[slot]), ZERO)
+    out.pressure = wp.max(held - k * (wp.dot(n, y) - planes.offset[slot] - planes.rebound[slot]), ZERO)
     out.energy = HALF * (out.pressure * out.pressure - held * held) / k
     nn = wp.outer(n, n)
     if out.pressure > ZERO:
@@ -139,17 +139,18 @@ def hold_forces(
 
 
 @wp.kernel
-def find_struck(
+def strike(
     first: int,
     active: wp.array(dtype=wp.int32),
     points: SkinPoints,
-    planes: ObstaclePlanes,
     x: wp.array(dtype=wp.vec3d),
     approach: wp.float64,
+    planes: ObstaclePlanes,
     struck_out: wp.array(dtype=wp.int32),
 ):
     """1 where the nodes at x take an active point through a plane that held no force; one an item.
 
+    Such a point leaves the surface as fast as it came, times its restitution (Newton's law of impact).
     approach: [m] of the point towards the surface in the substep, below which it does not count.
     """
     item = first + wp.tid()
@@ -162,6 +163,8 @@ def find_struck(
             nearer = wp.dot(planes.normal[slot], planes.anchor[slot] - y)
             if wp.dot(planes.normal[slot], y) < planes.offset[slot] and nearer > approach:
                 struck = 1
+                back = wp.dot(planes.normal[slot], planes.anchor[slot]) + points.restitution[q] * nearer
+                planes.rebound[slot] = wp.max(back - planes.offset[slot], ZERO)
     struck_out[item] = struck
 
 

@@ -10,9 +10,9 @@ import warp as wp
 
 from plait.solver.contact.obstacle_force_kernels import (
     evaluate_pushes,
-    find_struck,
     hold_forces,
     leave_planes,
+    strike,
     tet_kernels,
 )
 from plait.solver.contact.obstacle_search_kernels import SLOTS, find_obstacle_planes
@@ -100,11 +100,14 @@ class ObstacleForces:
         return bool(np.any(self._force.numpy()))
 
     def strikes(self, position: wp.array) -> bool:
-        """Whether a surface that did not push before does at `position`: an impact, not lasting contact."""
+        """Whether a surface that did not push before does at `position`: an impact, not lasting contact.
+
+        Where the body is elastic in impacts, it is from then on asked to leave such surfaces.
+        """
         struck = wp.zeros(self.count, dtype=wp.int32, device=self._launcher.device)
         approach = IMPACT_SPEED * self._shared.length
-        inputs = [self.active, self._shared.points, self._shared.planes, position, approach]
-        self._launcher.launch(find_struck, self.count, inputs, [struck])
+        inputs = [self.active, self._shared.points, position, approach]
+        self._launcher.launch(strike, self.count, inputs, [self._shared.planes, struck])
         return bool(struck.numpy().any())
 
     def alternate(self, start: wp.array, position: wp.array, solve: Callable[[], bool]) -> bool:

@@ -39,6 +39,7 @@ class ObstaclePlanes:
     normal: wp.array(dtype=wp.vec3d)  # unit, out of the surface
     offset: wp.array(dtype=wp.float64)  # [m] the point keeps normal . x >= offset
     ground: wp.array(dtype=wp.float64)  # [m] normal . x of the surface itself
+    rebound: wp.array(dtype=wp.float64)  # [m] further than `offset`, by which an impact ends the substep
     depth: wp.array(dtype=wp.float64)  # [m] how far under that the point was left; not negative
     anchor: wp.array(dtype=wp.vec3d)  # [m] where the point would be, had the surface carried it along
     friction: wp.array(dtype=wp.float64)  # Coulomb coefficient
@@ -56,6 +57,7 @@ class SkinPoints:
     friction: wp.array(dtype=wp.float64)  # Coulomb coefficient; negative: not told
     mass: wp.array(dtype=wp.float64)  # [kg]
     frequency: wp.array(dtype=wp.float64)  # [1/s] of the elastic elements around it
+    restitution: wp.array(dtype=wp.float64)
 
 
 @wp.func
@@ -211,6 +213,7 @@ def put(
         slot = wp.where(free >= 0, free, loosest)
         planes.pressure[slot] = ZERO
         planes.traction[slot] = wp.vec3d()
+        planes.rebound[slot] = ZERO
     planes.surface[slot] = surface
     planes.normal[slot] = contact.normal
     planes.offset[slot] = offset

@@ -28,6 +28,7 @@ PLANE_ARRAYS = {
     "normal": wp.vec3d,
     "offset": wp.float64,
     "ground": wp.float64,
+    "rebound": wp.float64,
     "depth": wp.float64,
     "anchor": wp.vec3d,
     "friction": wp.float64,
@@ -119,11 +120,12 @@ class Obstacles:
 
     def _hold_points(self, model: Model, particles: CollisionParticles) -> SkinPoints:
         layout, device = particles.layout, model.launcher.device
-        friction, edge, frequency = [], [], []
+        friction, edge, frequency, restitution = [], [], [], []
         for b, body in enumerate(layout.bodies):
             told = model.scene.surfaces[body.surface].friction
             friction.append(-1.0 if told is None else told)
             edge.append(layout.edge[b])
+            restitution.append(body.restitution)
             speed = np.sqrt(np.mean(np.asarray(body.youngs_modulus) / np.asarray(body.density)))
             frequency.append(speed / layout.edge[b])
         held = np.any((particles.weights != 0.0) & ~layout.pinned[particles.nodes], axis=1)
@@ -137,6 +139,7 @@ class Obstacles:
         points.reach = hold(np.where(moves, REACH * np.array(edge)[particles.body], 0.0))
         points.friction = hold(np.array(friction)[particles.body])
         points.mass = hold(particles.mass)
+        points.restitution = hold(np.array(restitution)[particles.body])
         points.frequency = hold(np.array(frequency)[particles.body])
         return points
 
