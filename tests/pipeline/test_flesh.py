@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
+from plait.pipeline import preview
 from plait.pipeline.cli import main
 from plait.pipeline.compare import compare
-from plait.pipeline.errors import EXIT_DONE, EXIT_FAILED, EXIT_STOPPED
+from plait.pipeline.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, EXIT_STOPPED, PlaitError
 from plait.pipeline.validate import validate, validator_findings
 from plait.solver.diagnostics import Diverged
 from plait.solver.step import Simulation
@@ -244,3 +246,32 @@ def test_divergence_is_told_in_one_line(shot, tmp_path, capsys, monkeypatch):
     assert sim(shot, tmp_path / "out.usda") == EXIT_FAILED
     (line,) = capsys.readouterr().err.splitlines()
     assert f"{LIMB}, node 3" in line and "frame 2" in line and "softer flesh" in line
+
+
+@pytest.mark.parametrize("which", ["shot", "result"])
+def test_bones_are_shown_through_the_skin(which, tmp_path, request, capsys):
+    """Blue dots where without `--core` there are none, on the shot and on its result; how many are told."""
+    try:
+        preview.probe()
+    except PlaitError as error:
+        pytest.skip(str(error))
+    path, counts = request.getfixturevalue(which), []
+    for more in ([], ["--core"]):
+        picture = tmp_path / f"{len(more)}.png"
+        assert main(["preview", str(path), "-o", str(picture), "-f", "3", "--size", "320x240", *more]) == EXIT_DONE
+        red, _, blue = np.moveaxis(np.asarray(Image.open(picture).convert("RGB")).astype(int), 2, 0)
+        counts.append(int((blue > red + 60).sum()))
+    assert counts[0] == 0 and counts[1] > 50
+    lines = capsys.readouterr().err.splitlines()
+    assert any(LIMB in line and "nodes are bone" in line for line in lines)
+    assert any(BLOB in line and "no nodes are bone" in line for line in lines)
+
+
+def test_bones_of_a_shot_without_flesh_are_refused(tmp_path, capsys):
+    stage = Usd.Stage.CreateNew(str(tmp_path / "bare.usda"))
+    UsdGeom.Sphere.Define(stage, "/Ball")
+    stage.Save()
+    command = ["preview", str(tmp_path / "bare.usda"), "-o", str(tmp_path / "bare.png"), "--core"]
+    assert main(command) == EXIT_BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "has no flesh" in line and not (tmp_path / "bare.png").exists()
