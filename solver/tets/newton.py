@@ -38,7 +38,7 @@ SLOW = 0.5
 # this: without it they take about 3.5 times that number of iterations.
 FAR = 3.0
 # No displacement is worth another iteration below this part of the body's diagonal.
-STILL = 1e-7
+STILL = {wp.float32: 1e-7, wp.float64: 1e-13}
 # A residual of so many times what rounding alone may leave is none.
 ROUNDING = 0.5
 FORCE_WORK, GATHER_WORK = tet_elements.FORCE_WORK, 12
@@ -106,7 +106,7 @@ class Newton:
         self.unknowns.residual = wp.zeros(count, dtype=vec3, device=device)
         self._start = wp.zeros(count, dtype=wp.vec3d, device=device)
         nodes = layout.rest[layout.nodes(body)]
-        self._still = STILL * float(np.linalg.norm(np.ptp(nodes, axis=0)))
+        self._still = STILL[real] * float(np.linalg.norm(np.ptp(nodes, axis=0)))
         self._rounding = ROUNDING * float(np.finfo(np.float32 if real == wp.float32 else np.float64).eps)
         self.obstacles: ObstacleForces | None = None
         coefficient = layout.bodies[body].stiffness_damping
@@ -268,7 +268,7 @@ class Newton:
         reach: [s] of the step; the same reach means the same weights.
         """
         goal = tolerance * reference
-        correction = self._choose_correction(reach)
+        correction = self.choose_correction(reach)
         linear_iterations, hessian = 0, "semi_definite"
         for iteration in range(max_iterations):
             if here.residual <= max(goal, here.rounding):
@@ -300,7 +300,7 @@ class Newton:
     def _coarse(self) -> CoarseCorrection:
         return CoarseCorrection(self._material, self.gradients, self.rows, self._launcher, self.real)
 
-    def _choose_correction(self, reach: float) -> CoarseCorrection | None:
+    def choose_correction(self, reach: float) -> CoarseCorrection | None:
         """The coarse correction, brought up to date, if forces reach across many tets in a step of `reach` [s]."""
         if reach * np.sqrt(self._mean_stiffness / self._mean_mass) < FAR:
             return None

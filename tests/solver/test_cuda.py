@@ -13,12 +13,20 @@ import warp as wp
 
 import plait.solver
 from plait.solver.contact.obstacle_force_kernels import tet_kernels
+from plait.solver.linear.block_kernels import block_kernels
+from plait.solver.linear.coarse_kernels import coarse_kernels
 from plait.solver.materials.laws import LAWS
 from plait.solver.strands.kernels import strand_kernels
+from plait.solver.tets.body_kernels import body_kernels
+from plait.solver.tets.damping_kernels import damping_kernels
 from plait.solver.tets.elements import element_kernels
+from plait.solver.tets.explicit_kernels import explicit_kernels
+from plait.solver.tets.skin_kernels import skin_kernels
 from plait.solver.warp_start import start_warp
 
 start_warp()
+# Factories of kernels by precision.
+MADE = (block_kernels, coarse_kernels, body_kernels, damping_kernels, explicit_kernels, skin_kernels)
 
 
 def kernels() -> Iterator[wp.Kernel]:
@@ -28,6 +36,8 @@ def kernels() -> Iterator[wp.Kernel]:
     for real in (wp.float32, wp.float64):
         yield from vars(strand_kernels(real)).values()
         yield from vars(tet_kernels(real)).values()
+        for made in MADE:
+            yield from vars(made(real)).values()
         for law in LAWS:
             yield from vars(element_kernels(law, real)).values()
 
