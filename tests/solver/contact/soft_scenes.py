@@ -56,14 +56,17 @@ class Soft:
         self.simulation = build(scene, Settings(grid=grid, substeps=SUBSTEPS, **settings))
         self.tets = self.simulation.model.parts["tets"]
         self.mass = self.tets.layout.mass[:, None]
-        self.frames = 0
 
     def run(self, frames: int = 1) -> dict[str, Any]:
         """Goes on for whole frames; the metrics of the last."""
         for _ in range(frames):
-            self.frames += 1
-            metrics = self.simulation.advance_frame(self.frames * FRAME)
+            metrics = self.simulation.advance_frame((self.frames + 1) * FRAME)
         return metrics
+
+    @property
+    def frames(self) -> int:
+        """How many have passed."""
+        return round(self.simulation.state.time / FRAME)
 
     def substep(self) -> None:
         time = self.simulation.state.time

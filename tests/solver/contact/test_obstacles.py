@@ -180,7 +180,9 @@ def test_a_thin_plate_stops_what_hits_it_at_ten_metres_a_second(kind, youngs_mod
     for _ in range(2 * SUBSTEPS):
         scene.substep()
         assert scene.skin[:, 1].min() > -0.5 * CELL
-    assert scene.centre[1] > 0.0
+    # The softest is turned inside out for a moment.
+    scene.run(6)
+    assert scene.skin[:, 1].min() > -0.5 * CELL and scene.centre[1] > 0.05
 
 
 def test_a_piston_at_ten_metres_a_second_drives_a_block_before_it():
@@ -321,7 +323,6 @@ def test_a_resumed_run_goes_on_bit_for_bit():
     scene.run(4)
     again = tumbling()
     again.simulation.state.restore(held)
-    again.frames = 4
     again.run(4)
     assert np.array_equal(scene.nodes, again.nodes)
 
