@@ -82,8 +82,13 @@ def core(
                 break
         pinned |= kept
     pinned |= depths >= 1.0
-    meant = [joint for joint in owners if (depths[owner == joint] > 0.0).any()]
-    return _hold_the_rest(lattice, pinned, owner, meant)
+    boned = np.isin(np.arange(len(parents)), owner[pinned])
+    boneless = [
+        joint
+        for joint in owners
+        if (depths[owner == joint] > 0.0).any() and not (boned & _subtree(joint, parents)).any()
+    ]
+    return _hold_the_rest(lattice, pinned, np.isin(owner, boneless), len(boneless))
 
 
 def _bone(
@@ -169,15 +174,14 @@ def _finite(depth: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(depth), np.maximum(depth, 0.0), 0.0)
 
 
-def _hold_the_rest(lattice: Lattice, pinned: np.ndarray, owner: np.ndarray, owners: np.ndarray) -> Core:
-    """Flesh that would fall off its skeleton is attached: connected pieces without bone, and all that the boneless
-    among the joints `owners` move, which are meant to have some.
+def _hold_the_rest(lattice: Lattice, pinned: np.ndarray, hanging: np.ndarray, joint_count: int) -> Core:
+    """Flesh that would fall off its skeleton is attached: connected pieces without bone, and what is `hanging`,
+    that of `joint_count` joints at the skeleton's ends.
     """
     tets = lattice.tets
     piece = components(len(lattice.nodes), np.concatenate([tets[:, [0, k]] for k in (1, 2, 3)]))
     held = np.bincount(piece, pinned) > 0
-    boneless = [joint for joint in owners if not pinned[owner == joint].any()]
-    attached = (~held[piece] | np.isin(owner, boneless)) & ~pinned
+    attached = (~held[piece] | hanging) & ~pinned
     notes = []
     if not pinned.any():
         notes.append("no bone lies within the flesh: all of it is attached to the animated pose by springs")
@@ -186,9 +190,9 @@ def _hold_the_rest(lattice: Lattice, pinned: np.ndarray, owner: np.ndarray, owne
             f"{int((~held).sum())} of {len(held)} pieces of flesh have no bone within: they are attached to the "
             "animated pose by springs"
         )
-    elif boneless:
+    elif joint_count:
         notes.append(
-            f"{len(boneless)} of {len(owners)} joints have no bone within their flesh, which is attached to the "
-            "animated pose by springs: finer tets would hold some"
+            f"{joint_count} joints have no bone within their flesh, which is attached to the animated pose by "
+            "springs: finer tets would hold some"
         )
     return Core(pinned, attached, tuple(notes))

@@ -99,6 +99,28 @@ def test_bone_keeps_clear_of_a_joint_that_bends(limb):
     assert (place[:, 2] < 1.7).any() and (place[:, 2] > 2.3).any()
 
 
+def test_bone_is_left_between_joints_close_to_one_another(limb):
+    """Joints every half radius, as of a twisted forearm, still leave the limb some bone."""
+    points, triangles, lattice, embedding = limb
+    heights = np.arange(0.0, 4.0, 0.15)
+    owner = np.clip(np.floor(lattice.nodes[:, 2] / 0.15), 0, len(heights) - 1).astype(int)
+    joints = np.column_stack([np.zeros((len(heights), 2)), heights])
+    parents = np.arange(len(heights)) - 1
+    bone = core(lattice, embedding, points, triangles, np.eye(len(heights))[owner], joints, parents)
+    assert len(np.unique(owner[bone.pinned])) > 0.8 * len(heights)
+
+
+def test_an_end_without_bone_is_attached(limb):
+    """A joint at the end whose own flesh is all skin (here: the outermost nodes) hangs on springs."""
+    points, triangles, lattice, embedding = limb
+    weights = bent_weights(lattice.nodes[:, 2])
+    outermost = lattice.nodes[:, 2] > 4.3
+    weights[outermost] = [0.0, 0.0, 1.0]
+    bone = core(lattice, embedding, points, triangles, weights, JOINTS, PARENTS)
+    assert outermost.any() and np.array_equal(bone.attached, outermost)
+    assert "1 joints have no bone" in bone.notes[0]
+
+
 def test_painted_depth_is_meant_to_the_letter(limb):
     """Nothing is bone where 0 is painted, everything where 1 is, the skin too."""
     points, triangles, lattice, embedding = limb
