@@ -124,6 +124,12 @@ class ContactRows:
         """Tells the lasting part of the impulses, forces that go on from the substep before, from what is new."""
         self._launcher.launch(divide_impulses, self.count, [], [self._state])
 
+    def impulses(self) -> tuple[np.ndarray, np.ndarray]:
+        """(count,) [kg m/s] each: the impulses in this substep so far, along the normals and across them."""
+        impulse, normal = self._state.impulse.numpy(), self._rows.normal.numpy()
+        along = np.einsum("cd,cd->c", impulse, normal)
+        return along, np.linalg.norm(impulse - along[:, None] * normal, axis=1)
+
     def add_impulses(self, on_nodes: wp.array) -> None:
         """Adds what the impulses in this substep so far are on nodes, (node_count,) vec3d [kg m/s]."""
         self._add(self._state.impulse, 1.0, on_nodes)

@@ -205,6 +205,10 @@ class SkinContact:
         self._rows.store_forces(self._slots, self._length, self._force)
         self._count()
 
+    def impulses(self) -> tuple[np.ndarray, np.ndarray]:
+        """(contact_count,) [kg m/s] each, along and across the normals: of the contacts of this substep."""
+        return self._rows.impulses()
+
     def divide_impulses(self) -> None:
         """Tells forces that go on from the substep before from what is new."""
         self._rows.divide_impulses()

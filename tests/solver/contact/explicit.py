@@ -25,11 +25,13 @@ class Explicit:
     position, velocity: (node_count, 3) float64 [m], [m/s].  impulse: (node_count, 3) of contact in the last step.
     """
 
-    def __init__(self, scene: Scene, *, contact: bool = True, damping: float = 0.0, **grid: object) -> None:
-        settings = Settings(threads=1, grid=GridSettings(**{"passes": 1, **grid}))
+    def __init__(
+        self, scene: Scene, *, contact: bool = True, damping: float = 0.0, threads: int = 1, **grid: object
+    ) -> None:
+        settings = Settings(threads=threads, grid=GridSettings(**{"passes": 1, **grid}))
         self.layout = build_layout(scene)
         self.state, self.gravity, self.damping = State(), scene.gravity, damping
-        self.launcher = Launcher("cpu", 1)
+        self.launcher = Launcher("cpu", threads)
         model = Model(scene, settings, self.launcher, 0.0)
         model.parts["kinematics"] = kinematics.build(model, self.state)
         self.contact = BodyContact(model, self.state, self.layout) if contact else None
