@@ -92,7 +92,7 @@ class BodySolver:
         self._explicit: ExplicitSteps | None = None
         if self._settings.integrator == "symplectic-euler" and self.newton is not None:
             self._explicit = ExplicitSteps(self.newton, layout, index, model.launcher, real)
-        self._recovery = Recovery(layout, index, self.targets.driven, tangle, model.launcher, real)
+        self._recovery = Recovery(layout, index, self.targets, tangle, model.launcher, real)
         self._arrays = [getattr(motion, name)[self._nodes] for name in HELD]
         self._kept = [wp.zeros_like(array) for array in self._arrays]
         self._step = self._kernels.types.Step()

@@ -3,7 +3,7 @@
 No motion short of turning tets inside out again leads out of such a state: the energy has a minimum there. It is
 known by its solid angles: around a node they add up to 4 pi at most, in a tangle to 8 pi. A star that stays so for
 a while is let go: the strained tets around it, with a margin, are filled anew by the harmonic extension of the
-displacements of the nodes around them, and elasticity does the rest.
+displacements from the animated pose around them, and elasticity does the rest.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from plait.solver.linear.block_rows import BlockRows
 from plait.solver.linear.conjugate_gradients import ConjugateGradients
 from plait.solver.tets.elements import PAIRS, element_types
 from plait.solver.tets.layout import TetLayout
+from plait.solver.tets.targets import Targets
 
 # A tet is strained that has less than this part of its volume, or an edge that differs by more than that.
 SQUEEZED, STRAINED = 0.3, 0.3
 # [sr] no star fills more, or less, in a state that could be: midway to what tangled ones fill.
 FULL, EMPTY = 6.0 * np.pi, -2.0 * np.pi
-# [s] A tangle that lasts so long is let go. Twice as long again if it is back, with twice the margin of RINGS tets
-# unless a skeleton may be what holds it.
+# [s] A tangle that lasts so long is let go. Twice as long again if it is back, with twice the margin of RINGS
+# tets; in a body that a skeleton moves and may hold so, with the same, and not before it has moved.
 PATIENCE, RINGS = 0.25, 2
 # A body tangled all over is put back to its rest shape, if it is alone, after so many times longer.
 ALL_OVER = 4.0
@@ -41,16 +42,14 @@ class Recovery:
     """
 
     def __init__(
-        self, layout: TetLayout, body: int, driven: np.ndarray, memory: wp.array, launcher: Launcher, real: type
+        self, layout: TetLayout, body: int, targets: Targets, memory: wp.array, launcher: Launcher, real: type
     ) -> None:
-        """driven: nodes of the body, counted from its first, that are not free to go."""
         nodes = layout.nodes(body)
         self._rest, self._mass = layout.rest[nodes], layout.mass[nodes]
         self._tets = layout.tets[layout.first_tet[body] : layout.first_tet[body + 1]] - nodes.start
         self._volume = layout.volume[layout.first_tet[body] : layout.first_tet[body + 1]]
-        self._driven = np.zeros(len(self._rest), dtype=bool)
-        self._driven[driven] = True
-        self._memory, self._launcher, self._real = memory, launcher, real
+        self._pinned = layout.pinned[nodes]
+        self._targets, self._memory, self._launcher, self._real = targets, memory, launcher, real
 
     def watch(self, least_volume: float) -> None:
         """Takes note of the least J of the body's tets."""
@@ -81,14 +80,19 @@ class Recovery:
         since = min(since, time)
         self._memory.assign([1.0, since, attempts])
         lasted, patience = time - since, PATIENCE * 2.0**attempts
-        if lasted < patience:
+        if lasted < patience or (attempts and self._held(since, time)):
             return None
-        rings = RINGS if self._driven.any() else RINGS * 2 ** int(attempts)
+        rings = RINGS if len(self._targets.driven) else RINGS * 2 ** int(attempts)
         nodes = self._region(tangled, strained, rings)
         if len(nodes) == len(self._rest) and (lasted < ALL_OVER * patience or not alone):
             return None
         self._memory.assign([1.0, time, attempts + 1.0])
-        return nodes, *self._fill(nodes, np.concatenate([position, velocity.numpy()], axis=1))
+        return nodes, *self._fill(
+            nodes, np.concatenate([position, velocity.numpy()], axis=1), self._targets.all_nodes(time)
+        )
+
+    def _held(self, since: float, time: float) -> bool:
+        return len(self._targets.driven) > 0 and not self._targets.moves(since, time)
 
     # -- what is tangled -------------------------------------------------------------------------------------
 
@@ -112,7 +116,7 @@ class Recovery:
         """(node_count,) bool: free nodes whose star of tets wraps around them."""
         near = np.zeros(len(position), dtype=bool)
         near[self._tets[strained]] = True
-        near &= ~self._driven
+        near &= ~self._pinned
         angle = np.zeros(len(position))
         for corner, face in enumerate(FACES):
             here = near[self._tets[:, corner]]
@@ -131,7 +135,7 @@ class Recovery:
             inside |= strained & self._touching(inside)
         for _ in range(rings):
             inside = self._touching(inside)
-        free = ~self._driven
+        free = ~self._pinned
         free[self._tets[~inside]] = False
         return np.flatnonzero(free)
 
@@ -143,15 +147,15 @@ class Recovery:
 
     # -- filling anew ----------------------------------------------------------------------------------------
 
-    def _fill(self, nodes: np.ndarray, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _fill(self, nodes: np.ndarray, motion: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (n, 3) of `nodes` from `motion`, (node_count, 6), of all others."""
         if len(nodes) == len(self._rest):
             return self._rigid(motion)
         displacement = motion.copy()
-        displacement[:, :3] -= self._rest
+        displacement[:, :3] -= pose
         mean = np.delete(displacement, nodes, axis=0).mean(axis=0)
         filled = self._harmonic(nodes, displacement - mean) + mean
-        return self._rest[nodes] + filled[:, :3], filled[:, 3:]
+        return pose[nodes] + filled[:, :3], filled[:, 3:]
 
     def _rigid(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The rest shape, placed and moving as the body does on the whole."""
