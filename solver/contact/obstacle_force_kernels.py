@@ -117,25 +117,30 @@ def hold_forces(
     inertia: wp.float64,
     x: wp.array(dtype=wp.vec3d),
     change_out: wp.array(dtype=wp.float64),
+    pressure_out: wp.array(dtype=wp.float64),
 ):
     """Holds the forces that the active points' contacts have with the nodes at x; one an item.
 
-    change_out: by how much they were off, over the stiffness, as part of the distance to keep.
+    change_out, pressure_out: by how much they were off, and how large they are, both over the stiffness and as
+    part of the distance to keep.
     """
     item = first + wp.tid()
     q = active[item]
     y = point_at(points, q, x)
     held = stiffness_of(points, q, inertia)
     change = ZERO
+    pressure = ZERO
     for k in range(SLOTS):
         slot = q * SLOTS + k
         if planes.surface[slot] >= 0:
             one = push(planes, slot, planes.friction[slot] * planes.pressure[slot], held, y)
             change = wp.max(change, wp.abs(one.pressure - planes.pressure[slot]))
             change = wp.max(change, wp.length(one.traction - planes.traction[slot]))
+            pressure = wp.max(pressure, one.pressure)
             planes.pressure[slot] = one.pressure
             planes.traction[slot] = one.traction
     change_out[item] = change / (held * points.reach[q])
+    pressure_out[item] = pressure / (held * points.reach[q])
 
 
 @wp.kernel

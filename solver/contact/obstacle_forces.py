@@ -20,9 +20,10 @@ from plait.solver.contact.obstacle_search_kernels import SLOTS, find_obstacle_pl
 if TYPE_CHECKING:
     from plait.solver.contact.obstacles import Obstacles
 
-# Solves in a substep, at most; fewer when no force changes by more than would move its plane by this part of the
-# distance kept from a surface.
+# Solves in a substep, at most; fewer when no force changes by more than this part of the largest pressure, or than
+# would move its plane by this part of the distance kept from a surface.
 MAX_ROUNDS = 8
+OF_PRESSURE = 0.02
 LASTING = 1e-3
 # [m/s] Surfaces met more slowly than this are not struck: what a bounce at half that speed rises is not seen.
 IMPACT_SPEED = 0.1
@@ -136,10 +137,10 @@ class ObstacleForces:
 
     def _hold(self, position: wp.array) -> bool:
         """Whether the forces at `position`, now held, are those held before."""
-        change = wp.empty(self.count, dtype=wp.float64, device=self._launcher.device)
+        change, pressure = (wp.empty(self.count, dtype=wp.float64, device=self._launcher.device) for _ in range(2))
         inputs = [self.active, self._shared.points, self._shared.planes, self._inertia, position]
-        self._launcher.launch(hold_forces, self.count, inputs, [change], work_per_item=FORCE_WORK)
-        return float(change.numpy().max()) < LASTING
+        self._launcher.launch(hold_forces, self.count, inputs, [change, pressure], work_per_item=FORCE_WORK)
+        return float(change.numpy().max()) <= max(LASTING, OF_PRESSURE * float(pressure.numpy().max()))
 
     def _evaluate(self, position: wp.array) -> None:
         inputs = [self.active, self._shared.points, self._shared.planes, self._inertia, position]
