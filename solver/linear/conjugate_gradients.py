@@ -39,6 +39,7 @@ class ConjugateGradients:
         types, device, count = self._kernels.types, launcher.device, rows.count
         krylov = types.Krylov()
         krylov.chunk = chunk_size(count, device)
+        self.count = count
         self.chunk_count = chunks = -(-count // krylov.chunk)
         names = ("solution", "residual", "preconditioned", "product", "direction", "direction_product")
         for name in names:

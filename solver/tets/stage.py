@@ -156,7 +156,7 @@ class TetStage:
         if (stands or last_resort) and contact.begin_substep(substep, start, motion.position):
             if contact.too_fast and not last_resort:
                 return False
-            for _ in range(self._model.settings.grid.passes - 1):
+            for _ in range(contact.passes - 1):
                 contact.resolve(start, motion.position, motion.velocity, scheme.reach, forecast=True)
                 self._take_contact_impulses(contact.impulse, substep, scheme)
                 stands = self._solve() and stands
@@ -194,6 +194,10 @@ class TetStage:
         }
 
     # -- results -------------------------------------------------------------------------------------------
+
+    def solver(self, body: int) -> BodySolver:
+        """What advances the body: for those who measure."""
+        return self._bodies[body]
 
     def nodes(self, body: int) -> np.ndarray:
         """(node_count, 3) float64 [m]: the body's nodes, scene world."""

@@ -1,6 +1,6 @@
 """Runs every benchmark and writes `results/*.json` and the tables of the README, `results/tables.md`.
 
-    python tests/benchmarks/measure.py [cost] [pyelastica] [growth] [errors]      default: all, about six minutes
+    python tests/benchmarks/measure.py [cost] [pyelastica] [growth] [errors] [flesh]     default: all, ten minutes
 
 Run it on a machine that does nothing else. Figures of different machines do not compare; ratios within one run do.
 """
@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import flesh_cost
 import numpy as np
 import pyelastica_cost
 import strands_cost
@@ -32,6 +33,7 @@ SUBSTEPS_A_SECOND = 192
 # What the rods are to reach, us per segment and substep by threads; and the growth's exponent.
 COST_TO_REACH = {1: 0.8, 2: 0.45}
 EXPONENT_TO_REACH = 1.05
+FLESH_EXPONENT_TO_REACH = 1.1
 
 
 def _cost(strand_count: int, threads: int, frames: int = 6) -> dict[str, Any]:
@@ -93,6 +95,11 @@ def errors() -> dict[str, Any]:
     return {"cases": [report.as_data(result) for result in results]}
 
 
+def flesh() -> dict[str, Any]:
+    """Elastic bodies: the cost of a step, its growth, and the time to an error, beside Newton's VBD and XPBD."""
+    return {"cost": flesh_cost.cost(), "growth": flesh_cost.growth(), "error": flesh_cost.error()}
+
+
 def _cost_table(held: dict[str, Any]) -> list[str]:
     lines = [
         "| 10,000 strands of 50 segments, dt = 1/192 s, 1 g | us per segment and step | a simulated second |",
@@ -143,13 +150,47 @@ def _reached(row: dict[str, Any] | None) -> str:
     return f"{1e3 * row['seconds']:.3g} ms ({Variant(*(row[name] for name in names)).label})"
 
 
+def _flesh_table(held: dict[str, Any]) -> list[str]:
+    flesh = held["flesh"]
+    lines = [
+        "| a swaying bar of tets, dt = 1/96 s | ms a step | iterations: Newton, linear | ns a tet, linear one |",
+        "|-|-|-|-|",
+    ]
+    for row in [*flesh["cost"], *flesh["growth"]["rows"]]:
+        each = row["ms_a_step"]
+        lines.append(
+            f"| {row['tets']:,}, threads: {row['threads']} | {each['median']:.0f} (best {each['best']:.0f}) "
+            f"| {row['newton_iterations']:.1f}, {row['linear_iterations']:.1f} "
+            f"| {row['ns_a_tet_and_linear_iteration']:.1f} |"
+        )
+    exponent = flesh["growth"]["exponent"]
+    grown = f"Cost grows with the number of tets to the power {exponent:.2f} (to reach {FLESH_EXPONENT_TO_REACH})."
+    error = flesh["error"]
+    lines += ["", grown, "", f"| {error['tets']:,} tets swaying, one thread | time to 1 % of error |", "|-|-|"]
+    for name in ("plait", "vbd", "xpbd"):
+        label = name if name == "plait" else f"Newton's {name.upper()}"
+        lines.append(f"| {label} | {_flesh_reached(error['solvers'].get(name))} |")
+    return lines
+
+
+def _flesh_reached(solver: dict[str, Any] | None) -> str:
+    if solver is None:
+        return "not installed"
+    if (row := solver["to_level"]) is None:
+        row = min(solver["rows"], key=lambda row: row["error"])
+        return f"not reached: {100.0 * row['error']:.2g} % in {row['seconds']:.2g} s"
+    sweeps = f", {row['iterations']} sweeps" if row["iterations"] else ""
+    return f"{row['seconds']:.2g} s ({row['steps_a_second']} steps a second{sweeps})"
+
+
 MEASUREMENTS: dict[str, Callable[[], dict[str, Any]]] = {
     "cost": cost,
     "pyelastica": pyelastica,
     "growth": growth,
     "errors": errors,
+    "flesh": flesh,
 }
-TABLES = {"cost": _cost_table, "growth": _growth_table, "errors": _errors_table}
+TABLES = {"cost": _cost_table, "growth": _growth_table, "errors": _errors_table, "flesh": _flesh_table}
 
 
 def main() -> None:
