@@ -17,7 +17,7 @@ import warp as wp
 
 from plait.solver.contact.geometry_kernels import ZERO
 from plait.solver.contact.meeting_kernels import HALF
-from plait.solver.contact.obstacle_search_kernels import SLOTS, ObstaclePlanes, SkinPoints, point_at
+from plait.solver.contact.obstacle_search_kernels import SLOTS, ObstaclePlanes, SkinPoints, point_at, stretch_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -26,6 +26,9 @@ wp.set_module_options({"enable_backward": False})
 STIFFER = wp.constant(wp.float64(20.0))
 # A plane left by more than this part of the distance to keep has let go.
 LEFT = wp.constant(wp.float64(0.1))
+# What hangs on a surface by a tet with an edge this many times as long as at rest is let go: bone has been drawn
+# through the surface, or a corner has caught between two points.
+TORN = wp.constant(wp.float64(4.0))
 
 
 @wp.func
@@ -190,9 +193,12 @@ def leave_planes(
     q = active[item]
     y = point_at(points, q, x)
     deepest = ZERO
+    torn = stretch_at(points, q, x) > TORN
     for k in range(SLOTS):
         slot = q * SLOTS + k
         if planes.surface[slot] >= 0:
+            if torn and planes.pressure[slot] > ZERO:
+                planes.let_go[q * SLOTS] = 1
             height = wp.dot(planes.normal[slot], y)
             planes.depth[slot] = wp.max(planes.ground[slot] - height, ZERO)
             deepest = wp.max(deepest, planes.depth[slot])

@@ -23,6 +23,8 @@ wp.set_module_options({"enable_backward": False})
 SLOTS = wp.constant(3)
 # Planes of one surface whose normals differ less (cosine) are the same contact, refined.
 SAME = wp.constant(wp.float64(0.9995))
+# What was torn has contact again when it is stretched no more than this.
+LOOSE = wp.constant(wp.float64(1.5))
 # A plane found anew carries on the forces of one of the same surface that differs less (cosine).
 ALIKE = wp.constant(wp.float64(0.7))
 
@@ -45,6 +47,7 @@ class ObstaclePlanes:
     friction: wp.array(dtype=wp.float64)  # Coulomb coefficient
     pressure: wp.array(dtype=wp.float64)  # [N] along the normal, at the substep's end
     traction: wp.array(dtype=wp.vec3d)  # [N] friction
+    let_go: wp.array(dtype=wp.int32)  # 1 at a point's first plane: it is torn, and has no contact till it is not
 
 
 @wp.struct
@@ -53,6 +56,7 @@ class SkinPoints:
 
     nodes: wp.array(dtype=wp.vec4i)
     weights: wp.array(dtype=wp.vec4d)  # rows sum to one
+    rest: wp.array(dtype=wp.vec3d)  # (node_count,) [m]
     reach: wp.array(dtype=wp.float64)  # [m] distance kept from surfaces, beside their thickness; 0: no contact
     friction: wp.array(dtype=wp.float64)  # Coulomb coefficient; negative: not told
     mass: wp.array(dtype=wp.float64)  # [kg]
@@ -68,6 +72,18 @@ def point_at(points: SkinPoints, q: int, x: wp.array(dtype=wp.vec3d)) -> wp.vec3
     for k in range(1, 4):
         at += weights[k] * x[nodes[k]]
     return at
+
+
+@wp.func
+def stretch_at(points: SkinPoints, q: int, x: wp.array(dtype=wp.vec3d)) -> wp.float64:
+    """The largest ratio of an edge's length to that at rest, in the tet that the point lies in."""
+    nodes = points.nodes[q]
+    most = ZERO
+    for a in range(4):
+        for b in range(a + 1, 4):
+            length = wp.length(x[nodes[b]] - x[nodes[a]])
+            most = wp.max(most, length / wp.length(points.rest[nodes[b]] - points.rest[nodes[a]]))
+    return most
 
 
 @wp.func
@@ -291,7 +307,10 @@ def find_obstacle_planes(
     if anew == 1:
         for k in range(SLOTS):
             planes.surface[q * SLOTS + k] = -1
-    if points.reach[q] <= ZERO:
+        planes.let_go[q * SLOTS] = 0
+        if before.let_go[q * SLOTS] == 1 and stretch_at(points, q, start) > LOOSE:
+            planes.let_go[q * SLOTS] = 1
+    if points.reach[q] <= ZERO or planes.let_go[q * SLOTS] == 1:
         return
     x = point_at(points, q, start)
     y = point_at(points, q, end)

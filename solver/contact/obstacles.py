@@ -34,9 +34,10 @@ PLANE_ARRAYS = {
     "friction": wp.float64,
     "pressure": wp.float64,
     "traction": wp.vec3d,
+    "let_go": wp.int32,
 }
 # What the next substep needs to know of this one's planes.
-KEPT = ("surface", "normal", "depth", "pressure", "traction")
+KEPT = ("surface", "normal", "depth", "pressure", "traction", "let_go")
 
 
 class Obstacles:
@@ -55,7 +56,9 @@ class Obstacles:
     Distances are float64; trees in float32 find the triangles. A point belongs on the side of a surface where it
     was last seen outside; what starts inside a solid meets it only after it has come out.
 
-    State arrays: obstacles/surface, normal, depth, pressure, traction of each point's planes.
+    What hangs on a surface by flesh that is torn is let go.
+
+    State arrays: obstacles/surface, normal, depth, pressure, traction, let_go of each point's planes.
     """
 
     def __init__(self, model: Model, state: State, particles: CollisionParticles) -> None:
@@ -88,6 +91,7 @@ class Obstacles:
                 body.examine(start, position, anew=True)
         elif self._tracked:
             self.planes.surface.fill_(-1)
+            self.planes.let_go.zero_()
             self._left = True
         self._tracked = bool(near)
         return self._tracked
@@ -102,11 +106,12 @@ class Obstacles:
         self._left, self._tracked = False, True
 
     def end_frame(self) -> dict[str, Any]:
-        """Counts of the last substep: particles with a surface near, and most solves that a body took."""
+        """Of the last substep: particles with a surface near, most solves that a body took, particles let go."""
         self._keep()
         return {
             "near_obstacles": sum(body.count for body in self.bodies),
             "obstacle_rounds": max(body.rounds for body in self.bodies),
+            "let_go": int(self.before.let_go.numpy().sum()),
         }
 
     def _keep(self) -> None:
@@ -132,6 +137,7 @@ class Obstacles:
         moves = held & (particles.mass > 0.0)
         points = SkinPoints()
         points.nodes, points.weights = particles.node_index, particles.weight
+        points.rest = wp.array(layout.rest, dtype=wp.vec3d, device=device)
 
         def hold(values: np.ndarray) -> wp.array:
             return wp.array(values, dtype=wp.float64, device=device)
