@@ -23,8 +23,8 @@ class Answers:
         mass = np.array([layout.mass[layout.nodes(b)].sum() for b in bodies])
         area = np.bincount(particles.body, particles.area, layout.body_count)
         areal_mass = np.bincount(particles.body, particles.mass, layout.body_count) / area
-        # Half the side of a cube, three halves of the thickness of a plate.
-        self._depth = 3.0 * volume / area
+        # A third of a cube's side, a plate's thickness.
+        self._depth = 2.0 * volume / area
         self._speed = np.sqrt([np.mean(body.youngs_modulus) for body in layout.bodies] / (mass / volume))
         self._layers = (mass / volume) / areal_mass
 
@@ -32,7 +32,8 @@ class Answers:
         """What the same impulse moves as a force within an implicit solve over `time` [s], estimated.
 
         It takes along what an elastic wave reaches in that time, density times its way for each square metre of
-        skin, as far as the body goes; the skin's own nodes hold less. Too little is stable, and takes more passes.
+        skin, as far as the body goes; the skin's own nodes hold less. Too little takes more passes; with too
+        much, a block that may rock rattles.
         """
         times_skin = np.maximum(self._layers * np.minimum(self._speed * time, self._depth), 1.0)
         return self.at_once / np.repeat(times_skin, self._counts)

@@ -26,8 +26,11 @@ class ContactPart(Protocol):
 
     too_fast: bool
 
-    def begin_substep(self, substep: Interval, start: wp.array, position: wp.array) -> bool:
-        """Finds what may touch while nodes go from `start` to `position`; False if nothing does."""
+    def begin_substep(self, start: wp.array, position: wp.array, base: wp.array) -> bool:
+        """Finds what may touch while nodes go from `start` to `position`; False if nothing does.
+
+        base: where impulses act, see `BodyContact.begin_substep`.
+        """
 
     def begin_pass(
         self, position: wp.array, velocity: wp.array, displacement_per_velocity: float, inverse_mass: wp.array
@@ -40,11 +43,8 @@ class ContactPart(Protocol):
     def sweep(self, velocity: wp.array) -> None:
         """Changes the nodes' velocities, (node_count,) vec3d [m/s], in place, by impulses."""
 
-    def divide_impulses(self) -> None:
-        """Tells forces that go on from the substep before from what is new."""
-
-    def add_impulses(self, on_nodes: wp.array, lasting: float) -> None:
-        """Adds the nodes' impulses in this substep so far, and `lasting` times those of forces that go on."""
+    def add_impulses(self, on_nodes: wp.array) -> None:
+        """Adds the nodes' impulses [kg m/s] in this substep so far."""
 
     def separate(self, position: wp.array) -> None:
         """Moves nodes apart that still overlap, in place, without a change of velocity; the substep ends here."""
@@ -59,9 +59,7 @@ class ContactPart(Protocol):
 class BodyContact:
     """All contact of a scene's elastic bodies, as impulses on their nodes after the elastic solve.
 
-    impulse: (node_count,) vec3d [kg m/s], what the next elastic solve of this substep is to add to the nodes.
-    jolt: (node_count,) vec3d [kg m/s], of what contact gave the nodes in this substep, what does not go on from
-        the substep before: changes of velocity that an integrator which looks back must not take for motion.
+    impulse: (node_count,) vec3d [kg m/s], what contact has given each node so far in this substep.
     cell_size: [m] of the grid; particles on the skins lie at most so far apart.
     particles: those.  passes: how often an elastic solve and contact alternate in a substep.
     obstacles: contact with surfaces that no body carries, part of the elastic solve; None without such.
@@ -73,8 +71,8 @@ class BodyContact:
         self.cell_size = self.settings.cell_size or mean_cell_size(layout)
         self.particles = CollisionParticles(model.scene, layout, self.cell_size, model.launcher)
         device = model.launcher.device
-        self.impulse, self.jolt, self._velocity = (
-            wp.zeros(layout.node_count, dtype=wp.vec3d, device=device) for _ in range(3)
+        self.impulse, self._velocity = (
+            wp.zeros(layout.node_count, dtype=wp.vec3d, device=device) for _ in range(2)
         )
         self._answers = Answers(layout, self.particles)
         self._at_once = wp.array(self._answers.at_once, dtype=wp.float64, device=device)
@@ -87,13 +85,17 @@ class BodyContact:
         self._substep: Interval | None = None
         self.obstacles = build_obstacles(model, state, self.particles)
 
-    def begin_substep(self, substep: Interval, start: wp.array, position: wp.array) -> bool:
+    def begin_substep(
+        self, substep: Interval, start: wp.array, position: wp.array, base: wp.array | None = None
+    ) -> bool:
         """Whether anything may touch in this substep; if not, nothing has been changed or need be called.
 
         start, position: (node_count,) vec3d [m], the nodes where the substep starts and after the elastic solve.
+        base: [m] where impulses act: what positions at the substep's end are reckoned from, x = base + t v. With
+            impulses in one point there, angular momentum is conserved. By default the start.
         """
-        self._substep = substep
-        self._active = [part for part in self.parts if part.begin_substep(substep, start, position)]
+        self._substep, base = substep, start if base is None else base
+        self._active = [part for part in self.parts if part.begin_substep(start, position, base)]
         return bool(self._active)
 
     @property
@@ -131,27 +133,15 @@ class BodyContact:
         for _ in range(self.settings.iterations):
             for part in self._active:
                 part.sweep(velocity)
-        if forecast:
-            self._tell_elastic_solve(displacement_per_velocity / self._substep.length)
+        self.impulse.zero_()
+        for part in self._active:
+            part.add_impulses(self.impulse)
         inputs = [self._velocity, velocity, wp.float64(displacement_per_velocity)]
         self._launcher.launch(take_up, self.layout.node_count, inputs, [position])
 
-    def _tell_elastic_solve(self, weight: float) -> None:
-        """Impulses for the next solve, which adds them to velocities in full.
-
-        weight: what of a force's impulse an integrator adds at once; the rest follows by what it remembers. So
-        much is added of a force that goes on from the substep before; what is new, all at once.
-        """
-        self.impulse.zero_()
-        for part in self._active:
-            part.divide_impulses()
-            part.add_impulses(self.impulse, weight - 1.0)
-
     def separate(self, position: wp.array) -> None:
-        """Moves what still overlaps apart by a part of the overlap, velocities untouched; fills `jolt`."""
-        self.jolt.zero_()
+        """Moves what still overlaps apart by a part of the overlap, velocities untouched."""
         for part in self._active:
-            part.add_impulses(self.jolt, -1.0)
             part.separate(position)
 
     def end_frame(self) -> dict[str, Any]:

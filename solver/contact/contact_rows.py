@@ -13,10 +13,8 @@ from plait.solver.contact.row_kernels import (
     add_impulses,
     begin_rows,
     claim_nodes,
-    divide_impulses,
     part_rows,
     spread_impulses,
-    store_forces,
     sweep_rows,
     weigh_rows,
 )
@@ -30,21 +28,19 @@ ROW_WORK, NODE_WORK = 8, 8
 class Contacts:
     """What may touch, as numpy arrays of `count` rows.
 
-    nodes: (count, n) int32, weights, slip_weights: (count, n) float64, see `row_kernels`; where both weights are
+    nodes: (count, n) int32, weights, common_weights: (count, n) float64, see `row_kernels`; where both weights are
     zero a node is no part of the row.
     normal: (count, 3).  target: (count,) [m].  friction, restitution: (count,).  share: (count,) [kg].
-    carried: (count, 3) [kg m/s], what the forces of the substep before come to in this one.
     """
 
     nodes: np.ndarray
     weights: np.ndarray
-    slip_weights: np.ndarray
+    common_weights: np.ndarray
     normal: np.ndarray
     target: np.ndarray
     friction: np.ndarray
     restitution: np.ndarray
     share: np.ndarray
-    carried: np.ndarray
 
 
 class ContactRows:
@@ -61,10 +57,10 @@ class ContactRows:
     def build(self, contacts: Contacts) -> None:
         """Takes up the contacts of a substep."""
         device = self._launcher.device
-        taking_part = (contacts.weights != 0.0) | (contacts.slip_weights != 0.0)
+        taking_part = (contacts.weights != 0.0) | (contacts.common_weights != 0.0)
         row, slot = np.nonzero(taking_part)
         node = contacts.nodes[row, slot]
-        weight, slip_weight = contacts.weights[row, slot], contacts.slip_weights[row, slot]
+        weight, common_weight = contacts.weights[row, slot], contacts.common_weights[row, slot]
         self.count = len(contacts.nodes)
 
         def hold(values: np.ndarray, dtype: type) -> wp.array:
@@ -73,7 +69,7 @@ class ContactRows:
         rows = Rows()
         rows.offsets = hold(_offsets(taking_part.sum(axis=1)), wp.int32)
         rows.node = hold(node, wp.int32)
-        rows.weight, rows.slip_weight = hold(weight, wp.float64), hold(slip_weight, wp.float64)
+        rows.weight, rows.common_weight = hold(weight, wp.float64), hold(common_weight, wp.float64)
         rows.normal = hold(contacts.normal, wp.vec3d)
         for name in ("target", "friction", "restitution", "share"):
             setattr(rows, name, hold(getattr(contacts, name), wp.float64))
@@ -81,19 +77,17 @@ class ContactRows:
         order = mobile[np.argsort(node[mobile], kind="stable")]
         touched, counts = np.unique(node[order], return_counts=True)
         rows.nodes, rows.node_offsets = hold(touched, wp.int32), hold(_offsets(counts), wp.int32)
-        rows.node_row, rows.node_weight = hold(row[order], wp.int32), hold(weight[order], wp.float64)
-        rows.node_slip_weight = hold(slip_weight[order], wp.float64)
+        rows.node_row, rows.node_weight = hold(row[order], wp.int32), hold(common_weight[order], wp.float64)
         self._rows, self._touched = rows, len(touched)
-        self._state = self._allocate(contacts.carried)
+        self._state = self._allocate()
         self._first_pass = True
 
-    def _allocate(self, carried: np.ndarray) -> RowState:
+    def _allocate(self) -> RowState:
         state, device = RowState(), self._launcher.device
         for name in ("compliance", "gap", "velocity", "approach"):
             setattr(state, name, wp.zeros(self.count, dtype=wp.float64, device=device))
-        for name in ("impulse", "lasting", "change", "slip_change"):
+        for name in ("impulse", "change"):
             setattr(state, name, wp.zeros(self.count, dtype=wp.vec3d, device=device))
-        state.carried = wp.array(carried, dtype=wp.vec3d, device=device)
         return state
 
     @property
@@ -120,10 +114,6 @@ class ContactRows:
         self._launcher.launch(sweep_rows, self.count, inputs, [self._state], work_per_item=ROW_WORK)
         self._spread(velocity)
 
-    def divide_impulses(self) -> None:
-        """Tells the lasting part of the impulses, forces that go on from the substep before, from what is new."""
-        self._launcher.launch(divide_impulses, self.count, [], [self._state])
-
     def impulses(self) -> tuple[np.ndarray, np.ndarray]:
         """(count,) [kg m/s] each: the impulses in this substep so far, along the normals and across them."""
         impulse, normal = self._state.impulse.numpy(), self._rows.normal.numpy()
@@ -132,20 +122,8 @@ class ContactRows:
 
     def add_impulses(self, on_nodes: wp.array) -> None:
         """Adds what the impulses in this substep so far are on nodes, (node_count,) vec3d [kg m/s]."""
-        self._add(self._state.impulse, 1.0, on_nodes)
-
-    def add_lasting(self, factor: float, on_nodes: wp.array) -> None:
-        """Adds `factor` times what the lasting part of the impulses is on nodes, (node_count,) vec3d [kg m/s]."""
-        self._add(self._state.lasting, factor, on_nodes)
-
-    def _add(self, impulse: wp.array, factor: float, on_nodes: wp.array) -> None:
-        inputs = [self._rows, impulse, wp.float64(factor)]
+        inputs = [self._rows, self._state]
         self._launcher.launch(add_impulses, self._touched, inputs, [on_nodes], work_per_item=NODE_WORK)
-
-    def store_forces(self, slot: np.ndarray, length: float, slot_force: wp.array) -> None:
-        """Writes row c's force in a substep of `length` [s] to slot[c] of a vec3d array [N]."""
-        slots = wp.array(slot, dtype=wp.int32, device=self._launcher.device)
-        self._launcher.launch(store_forces, self.count, [slots, wp.float64(length), self._state], [slot_force])
 
     def part(self, position: wp.array, wanted: wp.array, factor: float) -> None:
         """Moves nodes, in place, such that gaps below `wanted` (count,) [m] grow by `factor` of what they lack."""

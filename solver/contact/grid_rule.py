@@ -15,7 +15,7 @@ from plait.solver.contact.collision_particles import CollisionParticles
 from plait.solver.contact.grid_rule_kernels import change_nodes, change_particles
 from plait.solver.contact.skin_contact import told_friction
 from plait.solver.grid.sparse_grid import SparseGrid
-from plait.solver.model import Interval, Model
+from plait.solver.model import Model
 
 
 class PaperRule:
@@ -41,7 +41,7 @@ class PaperRule:
         self._filtered, self._change = (wp.zeros_like(particles.position) for _ in range(2))
         self._node_change = wp.zeros(layout.node_count, dtype=wp.vec3d, device=device)
 
-    def begin_substep(self, substep: Interval, start: wp.array, position: wp.array) -> bool:
+    def begin_substep(self, start: wp.array, position: wp.array, base: wp.array) -> bool:
         """True always: the rule has no gate. Particles are taken where the substep starts (16)."""
         self._grid.place(self._particles.evaluate_positions(start).numpy())
         self._particles.evaluate_normals()
@@ -68,10 +68,7 @@ class PaperRule:
         outputs = [velocity, self._node_change]
         launch(change_nodes, particles.layout.node_count, inputs, outputs, work_per_item=4)
 
-    def divide_impulses(self) -> None:
-        """All impulses are new."""
-
-    def add_impulses(self, on_nodes: wp.array, lasting: float) -> None:
+    def add_impulses(self, on_nodes: wp.array) -> None:
         """Adds m_p Delta v_p [kg m/s]."""
         impulse = self._node_mass[:, None] * self._node_change.numpy()
         on_nodes.assign(on_nodes.numpy() + impulse)

@@ -2,16 +2,15 @@
 
 Row c stands for two points that may touch: u_c = sum_k w_ck v_k is how fast they part, x_c = sum_k w_ck x_k where
 one lies from the other. Weights of the one sum to 1, of the other to -1, so an impulse J_c on the first and -J_c
-on the second is sum_c w_ck J_c on node k: the linear momentum of the whole never changes. Normal impulses act
-along the line between the two points; friction acts on both bodies in the second point (the first body's tet
-reaches there), or it would turn them: so neither changes the angular momentum.
+on the second never changes the linear momentum of the whole. Both act in the second point, where the first body's
+tet, extended, has a place too (weights W_ck; sum_c W_ck J_c on node k): so neither do they change the angular one.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from plait.solver.contact.geometry_kernels import ONE, ZERO
+from plait.solver.contact.geometry_kernels import ZERO
 
 wp.set_module_options({"enable_backward": False})
 
@@ -23,7 +22,7 @@ class Rows:
     offsets: wp.array(dtype=wp.int32)  # (row_count + 1,) into node, weight
     node: wp.array(dtype=wp.int32)
     weight: wp.array(dtype=wp.float64)
-    slip_weight: wp.array(dtype=wp.float64)  # of the first point, moved to where the second lies
+    common_weight: wp.array(dtype=wp.float64)  # with the first point moved to where the second lies
     normal: wp.array(dtype=wp.vec3d)  # the direction in which the points part
     target: wp.array(dtype=wp.float64)  # [m] gap to keep
     friction: wp.array(dtype=wp.float64)  # Coulomb coefficient
@@ -32,8 +31,7 @@ class Rows:
     nodes: wp.array(dtype=wp.int32)  # (touched_count,) the nodes that some row acts on
     node_offsets: wp.array(dtype=wp.int32)  # (touched_count + 1,) into node_row, node_weight
     node_row: wp.array(dtype=wp.int32)
-    node_weight: wp.array(dtype=wp.float64)
-    node_slip_weight: wp.array(dtype=wp.float64)
+    node_weight: wp.array(dtype=wp.float64)  # as common_weight
     inverse_mass: wp.array(dtype=wp.float64)  # (node_count,) [1/kg], how nodes answer to impulses; zero if held
 
 
@@ -46,10 +44,7 @@ class RowState:
     velocity: wp.array(dtype=wp.float64)  # [m/s] along the normal, where the pass began
     approach: wp.array(dtype=wp.float64)  # [m/s] along the normal, where the first pass began
     impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] in this substep so far
-    carried: wp.array(dtype=wp.vec3d)  # [kg m/s] what the force of the substep before would be in this one
-    lasting: wp.array(dtype=wp.vec3d)  # [kg m/s] the part of `impulse` that goes on from there
-    change: wp.array(dtype=wp.vec3d)  # [kg m/s] of the last sweep, along the normal
-    slip_change: wp.array(dtype=wp.vec3d)  # [kg m/s] and across it
+    change: wp.array(dtype=wp.vec3d)  # [kg m/s] of the last sweep
 
 
 @wp.func
@@ -64,7 +59,7 @@ def between(rows: Rows, c: int, of_nodes: wp.array(dtype=wp.vec3d)) -> wp.vec3d:
 def between_in_one_point(rows: Rows, c: int, of_nodes: wp.array(dtype=wp.vec3d)) -> wp.vec3d:
     total = wp.vec3d()
     for k in range(rows.offsets[c], rows.offsets[c + 1]):
-        total += rows.slip_weight[k] * of_nodes[rows.node[k]]
+        total += rows.common_weight[k] * of_nodes[rows.node[k]]
     return total
 
 
@@ -114,8 +109,7 @@ def begin_rows(
     state.gap[c] = wp.dot(n, between(rows, c, position))
     state.velocity[c] = u
     if first_pass == 1:
-        # What already presses does not bounce.
-        state.approach[c] = wp.where(wp.length_sq(state.carried[c]) > ZERO, ZERO, u)
+        state.approach[c] = u
 
 
 @wp.kernel
@@ -148,8 +142,7 @@ def sweep_rows(
         tangential = tangential * (most / length)
     after = normal_after * n + tangential
     state.impulse[c] = after
-    state.change[c] = (normal_after - normal_before) * n
-    state.slip_change[c] = after - before - state.change[c]
+    state.change[c] = after - before
 
 
 @wp.kernel
@@ -159,58 +152,24 @@ def spread_impulses(
     state: RowState,
     velocity: wp.array(dtype=wp.vec3d),
 ):
-    """v_k += sum_c w_ck J_c / m_k; one touched node an item, its rows in fixed order."""
+    """v_k += sum_c W_ck J_c / m_k; one touched node an item, its rows in fixed order."""
     n = first + wp.tid()
     total = wp.vec3d()
     for k in range(rows.node_offsets[n], rows.node_offsets[n + 1]):
-        c = rows.node_row[k]
-        total += rows.node_weight[k] * state.change[c] + rows.node_slip_weight[k] * state.slip_change[c]
+        total += rows.node_weight[k] * state.change[rows.node_row[k]]
     node = rows.nodes[n]
     velocity[node] = velocity[node] + rows.inverse_mass[node] * total
 
 
 @wp.kernel
-def divide_impulses(first: int, state: RowState):
-    """What of an impulse goes on from the substep before: its force while that still presses; one row an item."""
-    c = first + wp.tid()
-    before = state.carried[c]
-    square = wp.length_sq(before)
-    lasting = wp.vec3d()
-    if square > ZERO:
-        lasting = wp.clamp(wp.dot(state.impulse[c], before) / square, ZERO, ONE) * before
-    state.lasting[c] = lasting
-
-
-@wp.kernel
-def add_impulses(
-    first: int,
-    rows: Rows,
-    impulse: wp.array(dtype=wp.vec3d),
-    factor: wp.float64,
-    on_nodes: wp.array(dtype=wp.vec3d),
-):
-    """J_k += factor sum_c w_ck J_c; one touched node an item."""
+def add_impulses(first: int, rows: Rows, state: RowState, on_nodes: wp.array(dtype=wp.vec3d)):
+    """J_k += sum_c W_ck J_c; one touched node an item."""
     n = first + wp.tid()
     total = wp.vec3d()
     for k in range(rows.node_offsets[n], rows.node_offsets[n + 1]):
-        c = rows.node_row[k]
-        along = wp.dot(rows.normal[c], impulse[c]) * rows.normal[c]
-        total += rows.node_weight[k] * along + rows.node_slip_weight[k] * (impulse[c] - along)
+        total += rows.node_weight[k] * state.impulse[rows.node_row[k]]
     node = rows.nodes[n]
-    on_nodes[node] = on_nodes[node] + factor * total
-
-
-@wp.kernel
-def store_forces(
-    first: int,
-    slot: wp.array(dtype=wp.int32),
-    length: wp.float64,
-    state: RowState,
-    slot_force_out: wp.array(dtype=wp.vec3d),
-):
-    """Keeps each row's force over a substep of that length [s] where the next finds it; one row an item."""
-    c = first + wp.tid()
-    slot_force_out[slot[c]] = state.impulse[c] / length
+    on_nodes[node] = on_nodes[node] + total
 
 
 @wp.kernel
@@ -228,4 +187,3 @@ def part_rows(
     gap = wp.dot(n, between(rows, c, position))
     state.gap[c] = gap
     state.change[c] = wp.max(wanted[c] - gap, ZERO) * factor / state.compliance[c] * n
-    state.slip_change[c] = wp.vec3d()

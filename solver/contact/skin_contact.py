@@ -11,7 +11,7 @@ from plait.solver.contact.collision_particles import CollisionParticles
 from plait.solver.contact.contact_rows import ContactRows, Contacts
 from plait.solver.contact.patches import SkinPatches
 from plait.solver.contact.skin_search_kernels import SLOTS, Skins, Touching, find_places
-from plait.solver.model import Interval, Model
+from plait.solver.model import Model
 from plait.solver.scene import Scene
 from plait.solver.state import State
 from plait.solver.tets.layout import TetLayout
@@ -25,8 +25,10 @@ PARTING = 0.25
 # Jacobi sweeps over the rows in each of the outer sweeps.
 INNER_SWEEPS = 4
 DEFAULT_FRICTION = 0.5
-# A force goes on in a contact whose normal is within this (cosine) of it.
-ALIKE = 0.5
+# Part of a point's weight on nodes that are not pinned, from which on contact moves it.
+LEAST_MOBILE = 0.25
+# A point is not moved within its tet by more than this in barycentric weights: that tet is squashed.
+MOST_WEIGHT_CHANGE = 1.0
 # How far impulses act from a tet, in changes of its barycentric weights.
 FURTHEST = 1.0
 
@@ -34,8 +36,7 @@ FURTHEST = 1.0
 class SkinContact:
     """Contact of skins, as impulses between particles and the nearest points of triangles.
 
-    State arrays, of each place where a particle touched last: contact/skin_triangle, (particle_count * SLOTS,)
-    int32, and contact/skin_force, vec3d [N].
+    State array contact/skin_triangle: (particle_count * SLOTS,) int32, where each particle touched last.
 
     too_fast: in this substep something that meets moves by more than the settings' `cfl` cells.
     """
@@ -44,7 +45,7 @@ class SkinContact:
         self._launcher, self._particles = model.launcher, particles
         self._cell, self._cfl = particles.spacing, model.settings.grid.cfl
         self._patches = SkinPatches(particles, APART_AT_REST * self._cell, model.launcher)
-        self._rows = ContactRows(mobile, model.launcher)
+        self._rows, self._mobile = ContactRows(mobile, model.launcher), mobile
         bodies = particles.layout.bodies
         self._friction = told_friction(model.scene, particles.layout)
         self._restitution = np.array([body.restitution for body in bodies])
@@ -52,9 +53,7 @@ class SkinContact:
         self._skins = self._make_skins()
         device, slots = model.launcher.device, particles.count * SLOTS
         self._touching, self._before = _touching(slots, device), _touching(slots, device)
-        self._force, self._kept_force = (wp.zeros(slots, dtype=wp.vec3d, device=device) for _ in range(2))
         state.arrays["contact/skin_triangle"] = self._touching.triangle
-        state.arrays["contact/skin_force"] = self._force
         self._end = wp.zeros_like(particles.position)
         self.too_fast = False
         self._begin_counts()
@@ -91,20 +90,17 @@ class SkinContact:
 
     # -- finding -------------------------------------------------------------------------------------------
 
-    def begin_substep(self, substep: Interval, start: wp.array, position: wp.array) -> bool:
+    def begin_substep(self, start: wp.array, position: wp.array, base: wp.array) -> bool:
         """Finds the places that may touch; False, with nothing changed, if there are none."""
-        particles, self._length = self._particles, substep.length
+        particles = self._particles
         self.too_fast = self._searched = False
-        wp.copy(self._kept_force, self._force)
         particles.evaluate_positions(start)
         particles.gather(position, self._end)
-        contacts = None
-        if self._patches.come_near(particles.position, self._end, LOOK_AHEAD * self._cell):
-            self._searched = True
-            self._find()
-            contacts = self._contacts(start.numpy())
-        if self._force.numpy().any():
-            self._force.zero_()
+        if not self._patches.come_near(particles.position, self._end, LOOK_AHEAD * self._cell):
+            return False
+        self._searched = True
+        self._find()
+        contacts = self._contacts(base.numpy())
         if contacts is None:
             return False
         self._rows.build(contacts)
@@ -130,7 +126,7 @@ class SkinContact:
         ]
         self._launcher.launch(find_places, particles.count, inputs, [self._touching], work_per_item=50)
 
-    def _contacts(self, node_start: np.ndarray) -> Contacts | None:
+    def _contacts(self, base: np.ndarray) -> Contacts | None:
         """Rows of the places found that may close within the substep; None without any."""
         particles, found = self._particles, np.flatnonzero(self._touching.triangle.numpy() >= 0)
         q = found // SLOTS
@@ -143,18 +139,25 @@ class SkinContact:
         a, b = particles.body[q], particles.triangle_body[triangle]
         kept = self._thickness[a] + self._thickness[b] + KEPT_GAP * self._cell
         self.too_fast = bool(((closing < kept) & (np.linalg.norm(moved, axis=1) > self._cfl * self._cell)).any())
-        near = closing < kept + LOOK_AHEAD * self._cell
+        near = (closing < kept + LOOK_AHEAD * self._cell) & self._gives_way(q, corners, weights)
         if not near.any():
             return None
-        q, corners, weights, normal, gap, a, b, kept, triangle = (
-            v[near] for v in (q, corners, weights, normal, gap, a, b, kept, triangle)
+        q, corners, weights, normal, gap, a, b, kept = (
+            v[near] for v in (q, corners, weights, normal, gap, a, b, kept)
         )
-        self._kept, self._slots = kept, found[near]
-        theirs = (-weights[:, :, None] * particles.weights[corners]).reshape(len(q), -1)
+        self._kept = kept
+        nodes, theirs = (
+            particles.nodes[corners].reshape(len(q), -1),
+            -weights[:, :, None] * particles.weights[corners],
+        )
+        theirs = theirs.reshape(len(q), -1)
         own = particles.weights[q]
-        over_there = own + _weight_change(node_start[particles.nodes[q]], -gap[:, None] * normal)
+        apart = np.einsum("ck,ckd->cd", theirs, base[nodes]) + np.einsum(
+            "ck,ckd->cd", own, base[particles.nodes[q]]
+        )
+        over_there = own + _weight_change(base[particles.nodes[q]], -apart)
         return Contacts(
-            np.concatenate([particles.nodes[q], particles.nodes[corners].reshape(len(q), -1)], axis=1),
+            np.concatenate([particles.nodes[q], nodes], axis=1),
             np.concatenate([own, theirs], axis=1),
             np.concatenate([over_there, theirs], axis=1),
             normal,
@@ -162,28 +165,17 @@ class SkinContact:
             0.5 * (self._friction[a] + self._friction[b]),
             np.maximum(self._restitution[a], self._restitution[b]),
             particles.mass[q],
-            self._carried_on(q, triangle, normal),
         )
 
-    def _carried_on(self, q: np.ndarray, triangle: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        """(n, 3) [kg m/s] by the force of the substep before where each contact was, on the same skin."""
-        body = self._particles.triangle_body
-        slots = q[:, None] * SLOTS + np.arange(SLOTS)
-        triangle_before, force = self._before.triangle.numpy()[slots], self._force.numpy()[slots]
-        size = np.linalg.norm(force, axis=2)
-        cosine = np.einsum("nkd,nd->nk", force, normal) / np.maximum(size, np.finfo(float).tiny)
-        same = (triangle_before >= 0) & (body[triangle_before] == body[triangle][:, None]) & (size > 0.0)
-        cosine = np.where(same, cosine, -1.0)
-        best = cosine.argmax(axis=1)
-        rows = np.arange(len(q))
-        chosen, alike = slots[rows, best], cosine[rows, best]
-        # One heir to each force, the most alike.
-        order = np.lexsort((-alike, chosen))
-        heir = order[np.flatnonzero(np.diff(chosen[order], prepend=-1))]
-        heir = heir[alike[heir] > ALIKE]
-        carried = np.zeros((len(q), 3))
-        carried[heir] = force[heir, best[heir]] * self._length
-        return carried
+    def _gives_way(self, q: np.ndarray, corners: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """(n,) whether a particle or the place it touches can be moved without its nodes moving far more.
+
+        What hangs on pinned nodes but for a little goes where these go, and what it meets has to bear it.
+        """
+        particles, mobile = self._particles, self._mobile
+        own = (np.abs(particles.weights[q]) * mobile[particles.nodes[q]]).sum(axis=1)
+        theirs = (np.abs(particles.weights[corners]) * mobile[particles.nodes[corners]]).sum(axis=2)
+        return np.maximum(own, (weights * theirs).sum(axis=1)) >= LEAST_MOBILE
 
     # -- solving -------------------------------------------------------------------------------------------
 
@@ -202,27 +194,20 @@ class SkinContact:
     def separate(self, position: wp.array) -> None:
         """Takes away a part of what still overlaps; positions only."""
         self._rows.part(position, self._wanted, PARTING)
-        self._rows.store_forces(self._slots, self._length, self._force)
         self._count()
 
     def impulses(self) -> tuple[np.ndarray, np.ndarray]:
         """(contact_count,) [kg m/s] each, along and across the normals: of the contacts of this substep."""
         return self._rows.impulses()
 
-    def divide_impulses(self) -> None:
-        """Tells forces that go on from the substep before from what is new."""
-        self._rows.divide_impulses()
-
-    def add_impulses(self, on_nodes: wp.array, lasting: float) -> None:
-        """Adds the nodes' impulses in this substep so far, and `lasting` times those of forces that go on."""
+    def add_impulses(self, on_nodes: wp.array) -> None:
+        """Adds the nodes' impulses in this substep so far."""
         self._rows.add_impulses(on_nodes)
-        self._rows.add_lasting(lasting, on_nodes)
 
     def retract(self) -> None:
         """All as it was before `begin_substep`."""
         if self._searched:
             wp.copy(self._touching.triangle, self._before.triangle)
-        wp.copy(self._force, self._kept_force)
 
     # -- reporting -----------------------------------------------------------------------------------------
 
@@ -257,16 +242,15 @@ def _touching(slots: int, device: wp.Device) -> Touching:
 def _weight_change(corners: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """(n, 4) what barycentric weights in tets, (n, 4, 3) [m], change by when their point moves by (n, 3) [m].
 
-    None where that is further than the tet is large, as in one squeezed nearly flat: impulses weighed so far
-    outside of a tet would tear it.
+    None where the tet is so flat that they would change too much.
     """
     edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
     size = np.abs(edges).max(axis=(1, 2))
     solid = np.abs(np.linalg.det(edges)) > 1e-6 * size**3
     edges[~solid] = np.eye(3)
-    change = np.linalg.solve(edges, shift[:, :, None])[:, :, 0] * solid[:, None]
+    change = np.linalg.solve(edges, shift[:, :, None])[:, :, 0]
     change = np.concatenate([-change.sum(axis=1, keepdims=True), change], axis=1)
-    return np.where(np.abs(change).max(axis=1, keepdims=True) > FURTHEST, 0.0, change)
+    return change * (solid & (np.abs(change).max(axis=1) <= MOST_WEIGHT_CHANGE))[:, None]
 
 
 def _weld(particles: CollisionParticles) -> np.ndarray:

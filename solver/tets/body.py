@@ -224,7 +224,7 @@ class BodySolver:
             if here.residual <= small and self._momentum() <= small * step.length:
                 self._fall_asleep()
                 return True
-            self._reference = here.residual
+            self._reference = newton.force_size(step, motion)
             here = newton.start_from(motion.predicted, here)
         elif self._meets:
             # What lay on something lies there still: more likely there than where it would have fallen to.
@@ -240,7 +240,7 @@ class BodySolver:
     def _minimise_free(self) -> bool:
         """Minimises, then gives the body the momenta of its start, but for gravity, damping and contact so far."""
         whole, motion, step = self._whole, self._motion, self._step
-        contact = whole.moments(self._ones, motion.position, motion.contact_impulse)
+        contact = whole.moments(self._ones, motion.base, motion.contact_impulse)
         converged = self._minimise()
         if self.asleep:
             return converged

@@ -163,6 +163,19 @@ def body_kernels(real: type) -> SimpleNamespace:
         sums_out[c, 3] = size
 
     @kernel
+    def weigh_forces(first: int, chunk: int, step: Step, motion: Motion, unknowns: Unknowns,
+                     sums_out: wp.array(dtype=wp.float64)):  # fmt: skip
+        """Per chunk: the square of the residual less what only takes the nodes where their velocities lead."""
+        c = first + wp.tid()
+        square = wp.float64(0.0)
+        for u in range(c * chunk, wp.min((c + 1) * chunk, unknowns.node.shape[0])):
+            i = unknowns.node[u]
+            way = motion.base[i] + step.reach * motion.base_velocity[i] - motion.position[i]
+            force = wp.vec3d(unknowns.residual[u]) - (motion.mass[i] / (step.reach * step.reach)) * way
+            square += wp.dot(force, force)
+        sums_out[c] = square
+
+    @kernel
     def examine_direction(first: int, chunk: int, unknowns: Unknowns, direction: wp.array(dtype=vec3),
                           sums_out: wp.array2d(dtype=wp.float64)):  # fmt: skip
         """Per chunk: the square of the longest displacement, and the work along `direction`."""
@@ -222,12 +235,14 @@ def body_kernels(real: type) -> SimpleNamespace:
 
     @kernel
     def absorb_contact(first: int, step: Step, motion_out: Motion):
-        """The past becomes one in which the node had the velocity that contact gave it already; see `boost`."""
+        """The past becomes one in which the node had the velocity that contact gave it already; see `boost`.
+
+        Positions stay: what rests under the same impulses in every step is then at rest.
+        """
         i = step.first_node + first + wp.tid()
         if motion_out.pinned[i] == 0:
             change = motion_out.contact_impulse[i] / motion_out.mass[i]
             motion_out.velocity_before[i] = motion_out.velocity_before[i] + change
-            motion_out.position_before[i] = motion_out.position_before[i] - (step.length - step.reach) * change
 
     types = SimpleNamespace(vec3=vec3, Motion=Motion, Unknowns=Unknowns, Step=Step)
     return SimpleNamespace(
@@ -238,6 +253,7 @@ def body_kernels(real: type) -> SimpleNamespace:
         forget=forget,
         aim=aim,
         residual=residual,
+        weigh_forces=weigh_forces,
         examine_direction=examine_direction,
         advance=advance,
         take=take,

@@ -153,7 +153,7 @@ class TetStage:
                     for body, of_body in zip(self._bodies, obstacles.bodies, strict=True)
                 ]
             )
-        if (stands or last_resort) and contact.begin_substep(substep, start, motion.position):
+        if (stands or last_resort) and contact.begin_substep(substep, start, motion.position, motion.base):
             if contact.too_fast and not last_resort:
                 return False
             for _ in range(contact.passes - 1):
@@ -162,7 +162,7 @@ class TetStage:
                 stands = self._solve() and stands
             contact.resolve(start, motion.position, motion.velocity, scheme.reach)
             contact.separate(motion.position)
-            self._take_contact_impulses(contact.jolt, substep, scheme)
+            self._take_contact_impulses(contact.impulse, substep, scheme)
             in_contact = self._bodies
         else:
             in_contact = [body for body in self._bodies if body.struck]

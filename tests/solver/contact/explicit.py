@@ -115,7 +115,7 @@ class Explicit:
                 self.contact.resolve(x0, x, v, h)
                 self.contact.separate(x)
                 position, velocity = x.numpy().copy(), v.numpy().copy()
-                self.impulse += self.contact.jolt.numpy()
+                self.impulse += self.contact.impulse.numpy()
         self.position, self.velocity, self.time = position, velocity, self.time + h
         return near
 

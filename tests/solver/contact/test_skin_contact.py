@@ -109,7 +109,7 @@ def test_oblique_impact_conserves(ratio, friction):
     pair = Explicit(scene, cell_size=ratio * edge(scene))
     pair.velocity[pair.nodes(1)] = [0.2, -1.0, 0.1]
     momentum, spin, energy = pair.momentum(), pair.angular_momentum(), pair.energy()
-    step = pair.wave_step(0.5)
+    step = pair.wave_step(0.25)
     touched = False
     for _ in range(int(0.1 / step)):
         pair.step(step)
