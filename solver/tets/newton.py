@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -129,6 +129,7 @@ class Newton:
         chunks, tet_chunks = -(-count // chunk), -(-tets // tet_chunk)
         self._sums = wp.zeros((chunks, 4), dtype=wp.float64, device=device)
         self._direction_sums = wp.zeros((chunks, 2), dtype=wp.float64, device=device)
+        self._force_sums = wp.zeros(chunks, dtype=wp.float64, device=device)
         self._least = wp.zeros(tet_chunks, dtype=self.real, device=device)
         direction = self.gradients.krylov.solution
         forces = [self._force, self._dilation]
@@ -148,6 +149,17 @@ class Newton:
             work_per_item=chunk,
         )  # fmt: skip
         self._take_start = prepare(kernels.take, count, [unknowns, position], [self._start])
+
+    def force_size(self, step: Any, motion: Any) -> float:
+        """[N] 2-norm of the forces where last evaluated, the start of a step: what its end is to balance.
+
+        Not so the residual there, which also holds what would stop every node; that grows as steps get shorter,
+        and a solve to a part of it would leave the velocities to chance.
+        """
+        sums = self._force_sums
+        chunk = chunk_size(self.rows.count, self._launcher.device)
+        self._launcher.launch(self._kernels.weigh_forces, len(sums), [chunk, step, motion, self.unknowns], [sums])
+        return float(np.sqrt(sums.numpy().sum()))
 
     def start_from(self, guess: wp.array, here: Evaluation) -> Evaluation:
         """Takes `position` to `guess`, (node_count,) vec3d, if that is the better place to begin than `here`.
