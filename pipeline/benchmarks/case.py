@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-Integrator = Literal["backward-euler", "sdirk2"]
+Integrator = Literal["backward-euler", "sdirk2", "bdf2", "symplectic-euler"]
 Precision = Literal["float32", "float64"]
 
 # How far an observed order may lie from the nominal one before a Richardson reference is in doubt.
@@ -25,9 +25,9 @@ class Hardware(NamedTuple):
 class Variant(NamedTuple):
     """One way of solving a case.
 
-    segments: a rod's.  substeps: between two samples of the result; 0 for a case that is static, where the
-        integrator plays no part.
-    tolerance: Newton's, of a segment's length.
+    segments: how many of `unit` there are.  substeps: between two samples of the result; 0 for a case that is
+        static, where the integrator plays no part.
+    tolerance: Newton's, as the settings of the solver in question mean it.
     """
 
     segments: int
@@ -35,11 +35,12 @@ class Variant(NamedTuple):
     tolerance: float
     integrator: Integrator = "backward-euler"
     precision: Precision = "float64"
+    unit: str = "segments"
 
     @property
     def label(self) -> str:
         steps = f", {self.substeps} substeps, {self.integrator}" if self.substeps else ""
-        return f"{self.segments} segments{steps}, tolerance {self.tolerance:g}, {self.precision}"
+        return f"{self.segments} {self.unit}{steps}, tolerance {self.tolerance:g}, {self.precision}"
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,9 @@ from typing import Any
 import newton_cost
 import numpy as np
 
+from plait.pipeline.benchmarks.bars import bar_lattice, bar_scene
 from plait.solver.build import build
-from plait.solver.scene import Embedding, Scene, Surface, TetBody
+from plait.solver.scene import Scene
 from plait.solver.settings import FleshSettings, Settings
 from plait.solver.step import Simulation
 
@@ -36,72 +37,22 @@ LEVEL = 0.01
 LADDER, FINEST = (48, 96, 192, 384, 768), 6144
 
 
-def lattice(cells: tuple[int, int, int], length: float) -> tuple[np.ndarray, np.ndarray]:
-    """A bar from zero along x, its cells cubes: nodes (node_count, 3) [m] and tets (tet_count, 4) int32.
-
-    The middles of two cells and an edge of the face between them are a tet; a middle and half an outer face too.
-    """
-    counts = np.array(cells)
-    corner = np.arange(np.prod(counts + 1)).reshape(counts + 1)
-    middle = corner.size + np.arange(np.prod(counts)).reshape(counts)
-    tets = []
-    for axis in range(3):
-        across, up = (axis + 1) % 3, (axis + 2) % 3
-        by_face = np.moveaxis(corner, (axis, across, up), (0, 1, 2))
-        ring = [by_face[:, :-1, :-1], by_face[:, 1:, :-1], by_face[:, 1:, 1:], by_face[:, :-1, 1:]]
-        cell = np.moveaxis(middle, (axis, across, up), (0, 1, 2))
-        for k in range(4):
-            ends = ring[k][1:-1], ring[(k + 1) % 4][1:-1]
-            tets.append(np.stack([*ends, cell[:-1], cell[1:]], axis=-1).reshape(-1, 4))
-        for face in (0, -1):
-            for half in ((0, 1, 2), (0, 2, 3)):
-                outer = [ring[k][face] for k in half]
-                tets.append(np.stack([*outer, cell[face]], axis=-1).reshape(-1, 4))
-    corners = np.stack(np.meshgrid(*[np.arange(n + 1.0) for n in counts], indexing="ij"), -1).reshape(-1, 3)
-    middles = np.stack(np.meshgrid(*[np.arange(n) + 0.5 for n in counts], indexing="ij"), -1).reshape(-1, 3)
-    nodes = np.concatenate([corners, middles]) * length / counts[0]
-    tets = np.concatenate(tets)
-    # Neighbours in space are neighbours in memory, as in the lattices that fill a character.
-    order = np.argsort(nodes[:, 0] + 1e-3 * nodes[:, 1] + 1e-6 * nodes[:, 2], kind="stable")
-    number = np.empty(len(nodes), dtype=np.int64)
-    number[order] = np.arange(len(nodes))
-    nodes, tets = nodes[order], number[tets]
-    tets = tets[np.argsort(tets.min(axis=1), kind="stable")]
-    x = nodes[tets]
-    negative = np.linalg.det(x[:, 1:] - x[:, :1]) < 0.0
-    tets[negative, 2:] = tets[negative, :1:-1]
-    return nodes, tets.astype(np.int32)
-
-
-def swaying_bar(nodes: np.ndarray, tets: np.ndarray) -> Scene:
-    """Clamped where x is least."""
-    faces = tets[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    outer = faces[first[count == 1]]
-    used, triangles = np.unique(outer, return_inverse=True)
-    corners, place = np.unique(tets.ravel(), return_index=True)
-    place = place[np.searchsorted(corners, used)]
-    skin = Surface("skin", nodes[used], triangles.reshape(-1, 3).astype(np.int32), body=0)
-    bar = TetBody(
-        "bar",
+def _swaying_bar(nodes: np.ndarray, tets: np.ndarray) -> Scene:
+    return bar_scene(
         nodes,
         tets,
-        0,
-        Embedding((place // 4).astype(np.int32), np.eye(4)[place % 4]),
-        np.full(len(tets), DENSITY),
-        np.full(len(tets), MODULUS),
-        np.full(len(tets), RATIO),
-        np.isclose(nodes[:, 0], 0.0),
-        np.zeros(len(nodes)),
+        youngs_modulus=MODULUS,
+        poissons_ratio=RATIO,
+        density=DENSITY,
+        gravity=(0.0, -9.81, 0.0),
     )
-    return Scene(surfaces=(skin,), bodies=(bar,))
 
 
 def _bar_of(tet_count: int) -> tuple[Scene, int]:
     """With about so many tets, and how many it has."""
     across = round((tet_count / 48.0) ** (1.0 / 3.0))
-    nodes, tets = lattice((4 * across, across, across), LENGTH)
-    return swaying_bar(nodes, tets), len(tets)
+    nodes, tets = bar_lattice((4 * across, across, across), LENGTH)
+    return _swaying_bar(nodes, tets), len(tets)
 
 
 def _measure(tet_count: int, threads: int) -> dict[str, Any]:
@@ -180,8 +131,8 @@ def _run(scene: Scene, steps_a_second: int, tolerance: float) -> tuple[np.ndarra
 
 def error() -> dict[str, Any]:
     """Seconds to 1 % of error in time, each solver against its own converged motion of the same tets."""
-    nodes, tets = lattice(ERROR_CELLS, ERROR_LENGTH)
-    scene = swaying_bar(nodes, tets)
+    nodes, tets = bar_lattice(ERROR_CELLS, ERROR_LENGTH)
+    scene = _swaying_bar(nodes, tets)
     settings = {"modulus": MODULUS, "ratio": RATIO, "density": DENSITY, "time": ERROR_TIME, "looks": LOOKS}
     exact, _ = _run(scene, FINEST, tolerance=1e-6)
     rows = []

@@ -146,7 +146,7 @@ def _errors_table(held: dict[str, Any]) -> list[str]:
 def _reached(row: dict[str, Any] | None) -> str:
     if row is None:
         return "not reached"
-    names = ("segments", "substeps", "tolerance", "integrator", "precision")
+    names = ("segments", "substeps", "tolerance", "integrator", "precision", "unit")
     return f"{1e3 * row['seconds']:.3g} ms ({Variant(*(row[name] for name in names)).label})"
 
 

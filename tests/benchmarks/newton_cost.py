@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 # Steps a second and sweeps a step: tried, and those that the reference is extrapolated from.
-VBD_LADDER = ((384, 32), (768, 16), (768, 32), (1536, 8), (1536, 16), (3072, 4))
+VBD_LADDER = ((384, 32), (768, 8), (768, 16), (1536, 4), (1536, 8), (3072, 2), (3072, 4), (6144, 1), (6144, 2))
 VBD_FINEST = ((1536, 48), (3072, 32))
 XPBD_LADDER = ((3072, 8), (6144, 4), (12288, 2), (12288, 4))
 XPBD_FINEST = ((12288, 8), (24576, 4))

@@ -225,7 +225,14 @@ def test_what_cannot_be_measured_is_said_before_measuring(wrong, tmp_path):
 def test_every_case_is_listed(capsys):
     assert bench.show([], list_only=True) == EXIT_DONE
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    assert listed == ["heavy-cantilever", "bend-45", "released-cantilever", "shaken-hair"]
+    assert listed == [
+        "heavy-cantilever",
+        "bend-45",
+        "released-cantilever",
+        "shaken-hair",
+        "bar-bending",
+        "bar-ringing",
+    ]
 
 
 @pytest.mark.parametrize("case", rods.CASES, ids=lambda case: case.name)
