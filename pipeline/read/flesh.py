@@ -154,7 +154,12 @@ def _filled(source: Source, body: Body, skin: Surface, given: Given) -> _Inner:
     def carry(values: np.ndarray) -> np.ndarray:
         return extend(lattice, embedding, values)
 
-    motion = InnerMotion(skin.motion, carry) if isinstance(skin.motion, ShapedMotion) else skin.motion
+    motion = skin.motion
+    if isinstance(motion, ShapedMotion):
+        to_shape = np.linalg.inv(body.bind_to_rest[:3, :3]).T * source.units.meters_per_unit
+        skin_there, nodes_there = skin.points @ to_shape, lattice.nodes @ to_shape
+        # What moves is extended, not the places: a flat skin's say nothing of what lies across it.
+        motion = InnerMotion(motion, lambda shape: nodes_there + carry(shape - skin_there))
     return _Inner(lattice, embedding, part, motion, _skinning(skin, carry), _blend_shapes(skin, carry))
 
 

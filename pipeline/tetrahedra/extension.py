@@ -10,6 +10,8 @@ from plait.solver.scene import Embedding
 
 TOLERANCE = 1e-7
 MAX_ITERATIONS = 2000
+# A skin flatter than this part of its size says nothing about what lies across it.
+FLAT = 1e-4
 # Weight of the skin's values in each tet against smoothness, in units of the Laplacian's mean diagonal. Much more
 # would tilt the tets at the skin, which reach beyond it, and overshoot inside; much less would miss the values.
 HOLD = 5e1
@@ -57,11 +59,11 @@ def laplacian(lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _affine_fit(places: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(offset (3,) and matrix (4, k)): values ≈ [1, x - offset] matrix, least squares."""
+    """(offset (3,) and matrix (4, k)): values ≈ [1, x - offset] matrix, least squares; none across a flat skin."""
     middle = places.mean(axis=0)
     rows = np.column_stack([np.ones(len(places)), places - middle])
     scale = np.array([1.0, *[np.abs(rows[:, 1:]).max() or 1.0] * 3])
-    matrix = np.linalg.lstsq(rows / scale, values, rcond=1e-10)[0] / scale[:, None]
+    matrix = np.linalg.lstsq(rows / scale, values, rcond=FLAT)[0] / scale[:, None]
     return middle, matrix
 
 

@@ -49,6 +49,18 @@ def test_affine_functions_are_carried_exactly(limb):
     assert np.abs(result - lattice.nodes @ matrix - offset).max() <= 1e-12 * np.abs(lattice.nodes).max() * 10
 
 
+def test_nothing_is_made_of_the_noise_of_a_flat_skin():
+    """A sheet flat but for a float32's rounding: its values run on across it, not along a slope of the noise."""
+    grid = np.stack(np.meshgrid(np.linspace(0, 1, 11), np.linspace(0, 1, 11), indexing="ij"), -1).reshape(-1, 2)
+    points = np.column_stack([grid, 1e-7 * np.random.default_rng(3).normal(size=len(grid))])
+    corner = np.arange(121).reshape(11, 11)[:-1, :-1].ravel()
+    triangles = np.concatenate([corner[:, None] + [0, 11, 12], corner[:, None] + [0, 12, 1]])
+    lattice = fill_anew(points, triangles, edge=0.1)
+    values = np.sin(3.0 * points[:, :1])
+    result = extend(lattice, embed(points, lattice)[0], values)
+    assert result.min() > -0.3 and result.max() < 1.3
+
+
 def test_interpolates_a_smooth_function_to_second_order():
     """A quadratic on a ball: the error at the skin falls fourfold, or nearly, as the edge is halved."""
     mesh = trimesh.creation.icosphere(5)
