@@ -42,7 +42,7 @@ class FleshSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """[flesh]: the solve of elastic bodies.
 
     integrator: 'bdf2' (default, second order), 'backward-euler' (damps), 'symplectic-euler' (explicit).
-    tolerance: Newton stops when the residual has fallen to this part of what it was at the substep's start.
+    tolerance: Newton stops when what is left of the forces is this part of those at the substep's start.
     max_iterations: Newton iterations before a substep is asked to be halved.
     """
 
