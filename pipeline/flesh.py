@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 # Counts up with every change to what `fill` makes, so that no older version's lattice is taken for this one's.
-VERSION = 4
+VERSION = 6
 
 
 def fill(points: np.ndarray, triangles: np.ndarray, *, edge: float | None = None, budget: int = BUDGET) -> Lattice:

@@ -25,3 +25,11 @@ def components(count: int, pairs: np.ndarray) -> np.ndarray:
         a, b = a[apart], b[apart]
     _, labels = np.unique(parent, return_inverse=True)
     return labels
+
+
+def chains(group: np.ndarray, member: np.ndarray) -> np.ndarray:
+    """Pairs (n, 2) that chain the members of each group together."""
+    order = np.argsort(group, kind="stable")
+    group, member = group[order], member[order]
+    alike = group[1:] == group[:-1]
+    return np.stack([member[:-1][alike], member[1:][alike]], axis=1)

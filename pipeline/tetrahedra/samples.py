@@ -8,10 +8,11 @@ import numpy as np
 
 from plait.pipeline.tetrahedra.bcc import Grid
 from plait.pipeline.tetrahedra.crossings import lines_through, triangles_through
-from plait.pipeline.tetrahedra.graphs import components
+from plait.pipeline.tetrahedra.graphs import chains, components
 from plait.pipeline.tetrahedra.skin import Skin
 
 SPACING = 0.25  # of a cell, between places on the skin
+SLIVER = 0.1  # area over the longest side squared
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def cut(skin: Skin, places: np.ndarray, grid: Grid) -> Pieces:
     key, piece = np.unique(spots.tet * count + spots.on, return_inverse=True)
     tet, triangle = np.divmod(key, count)
     group = np.concatenate([of_points[1], of_edges[1] + len(places)])
-    sheet = components(len(key), _chains(group, piece[: len(group)]))
+    sheet = components(len(key), chains(group, piece[: len(group)]))
     point_piece = np.empty(len(places), dtype=np.int64)
     point_piece[of_points[1]] = piece[: len(of_points[1])]
     return Pieces(spots.places, piece, triangle, tet, sheet, point_piece, count)
@@ -105,9 +106,10 @@ def _along(ends: np.ndarray, grid: Grid) -> _Spots:
 
 
 def _within(corners: np.ndarray, grid: Grid) -> _Spots:
-    """A grid over the inside of each triangle (n, 3, 3), none on its edges."""
+    """A grid over the inside of each triangle (n, 3, 3), none on its edges and none in slivers."""
     sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1)
-    parts = np.maximum(np.ceil(sides / SPACING), 1).astype(np.int64)
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    parts = np.where(SLIVER * sides**2 < area, np.ceil(sides / SPACING), 1).astype(np.int64)
     places, owners = [np.zeros((0, 3))], [np.zeros(0, dtype=np.int64)]
     for n in np.unique(parts[parts > 2]):
         i, j = np.meshgrid(np.arange(1, n), np.arange(1, n), indexing="ij")
@@ -124,7 +126,8 @@ def _with_missed(spots: _Spots, corners: np.ndarray, grid: Grid, through) -> _Sp
     """And a spot in each tet more that a line or triangle, (n, k, 3), passes into through a face of one known."""
     count = len(corners)
     known = np.unique(spots.tet * count + spots.on)
-    fresh = known
+    ends = grid.locate(corners.reshape(-1, 3)).reshape(corners.shape[:2])
+    fresh = known[(ends != ends[:, :1]).any(axis=1)[known % count]]  # tets are convex
     found = [spots]
     while len(fresh):
         tet, on = np.divmod(fresh, count)
@@ -143,11 +146,3 @@ def _with_missed(spots: _Spots, corners: np.ndarray, grid: Grid, through) -> _Sp
 
 def _joined(*spots: _Spots) -> _Spots:
     return _Spots(*(np.concatenate([getattr(s, name) for s in spots]) for name in ("places", "tet", "on")))
-
-
-def _chains(group: np.ndarray, member: np.ndarray) -> np.ndarray:
-    """Pairs (n, 2) that chain the members of each group together."""
-    order = np.argsort(group, kind="stable")
-    group, member = group[order], member[order]
-    alike = group[1:] == group[:-1]
-    return np.stack([member[:-1][alike], member[1:][alike]], axis=1)

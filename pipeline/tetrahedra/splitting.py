@@ -11,17 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from plait.pipeline.tetrahedra.cover import Cover, adjacent_parts, part_middles
-from plait.pipeline.tetrahedra.graphs import components
+from plait.pipeline.tetrahedra.graphs import chains, components
 from plait.pipeline.tetrahedra.samples import Pieces
 from plait.pipeline.tetrahedra.skin import Inside, Skin
 
 PARTS = 3  # a tet between sheets is looked at in this many parts cubed
+THINNED = 0.125  # of a cell
+OFF_EDGE = 0.02  # of a cell, and of the way to a triangle's middle
 APART = 0.125  # of a cell: the lines along which its flesh is measured
 # Of the skin's size: a step off the skin, to see which side is inside.
 STEP = 2e-5
 # Turns the grid of lines out of line with flat walls, which would all fall between two lines or none.
 _ASKEW = np.array([[np.cos(0.6), -np.sin(0.6), 0.0], [np.sin(0.6), np.cos(0.6), 0.0], [0.0, 0.0, 1.0]])
 FOLD = np.radians(25.0)  # from the mean normal in a tet: more is no plane
+TURNED_AWAY = 1e3  # cells squared: what faces away comes after all that does not
 GROUP = 20_000  # places whose closest skin is sought at once
 
 
@@ -46,6 +49,8 @@ class OnSkin:
     below, above: (n,) bool, whether inside is against the normal, and along it.
     """
 
+    inside: Inside
+    cover: Cover
     places: np.ndarray
     normals: np.ndarray
     sheet: np.ndarray
@@ -54,7 +59,10 @@ class OnSkin:
     above: np.ndarray
 
     def nearest_sheet(self, places: np.ndarray, tets: np.ndarray) -> np.ndarray:
-        """(n,) the sheet, within its tet, closest to each place inside and turned to it, and so joined to it."""
+        """(n,) the sheet, within its tet, closest to each place inside and in sight of it, and so joined to it.
+
+        Of a sheet, what is closest is seen if anything is; where no sheet is seen, the closest is told.
+        """
         found = [self._nearest(places[k : k + GROUP], tets[k : k + GROUP]) for k in range(0, len(places), GROUP)]
         return np.concatenate([np.zeros(0, dtype=np.int64), *found])
 
@@ -64,12 +72,26 @@ class OnSkin:
         row = np.repeat(np.arange(len(places)), length)
         candidate = first[row] + np.arange(len(row)) - np.repeat(np.cumsum(length) - length, length)
         away = places[row] - self.places[candidate]
-        height = np.einsum("ni,ni->n", away, self.normals[candidate])
-        turned = np.where(height < 0.0, self.below[candidate], self.above[candidate])
-        distance = np.einsum("ni,ni->n", away, away) + np.where(turned, 0.0, 1e3)
+        under = np.einsum("ni,ni->n", away, self.normals[candidate]) < 0.0
+        turned = np.where(under, self.below[candidate], self.above[candidate])
+        distance = np.einsum("ni,ni->n", away, away) + np.where(turned, 0.0, TURNED_AWAY)
         order = np.lexsort((distance, row))
-        closest = order[np.cumsum(length) - length]
-        return self.sheet[candidate[closest]]
+        row, candidate, under = row[order], candidate[order], under[order]
+        result = self.sheet[candidate[np.cumsum(length) - length]]
+        while len(row):
+            closest = np.flatnonzero(np.diff(row, prepend=-1))
+            of, place = row[closest], candidate[closest]
+            side = np.where(under[closest], -STEP, STEP) * self.inside.scale
+            end = self.cover.points(self.places[place]) + side[:, None] * self.normals[place]
+            seen = self.inside.stays(self.cover.points(places[of]), end, STEP)
+            result[of[seen]] = self.sheet[place[seen]]
+            tried = np.full(len(places), -1)
+            tried[of] = self.sheet[place]
+            done = np.zeros(len(places), dtype=bool)
+            done[of[seen]] = True
+            left = ~done[row] & (self.sheet[candidate] != tried[row])
+            row, candidate, under = row[left], candidate[left], under[left]
+        return result
 
 
 def copies(skin: Skin, inside: Inside, cover: Cover, pieces: Pieces, names: np.ndarray) -> Copies:
@@ -106,15 +128,24 @@ def _folded(skin: Skin, pieces: Pieces, names: np.ndarray) -> np.ndarray:
 def _on_skin(
     skin: Skin, inside: Inside, cover: Cover, pieces: Pieces, sheet_tet: np.ndarray, tets: np.ndarray
 ) -> OnSkin:
+    """Of places on one sheet closer together than THINNED that face alike, one is taken."""
     sheet = pieces.sheet[pieces.piece]
     kept = np.flatnonzero(np.isin(sheet_tet[sheet], tets))
-    kept = kept[np.argsort(sheet_tet[sheet[kept]], kind="stable")]
-    places = pieces.places[kept]
-    normals = skin.normals[pieces.triangle[pieces.piece[kept]]]
+    facing = (skin.normals[pieces.triangle[pieces.piece[kept]]] > 0.0) @ [1, 2, 4]
+    box = np.floor(pieces.places[kept] / THINNED).astype(np.int64)
+    sides = (cover.grid.cells / THINNED).astype(np.int64) + 1
+    key = np.ravel_multi_index((sheet[kept], *box.T, facing), (len(sheet_tet), *sides, 8))
+    kept = kept[np.unique(key, return_index=True)[1]]  # by sheet, and so by tet
+    places, triangle = pieces.places[kept], pieces.triangle[pieces.piece[kept]]
+    normals = skin.normals[triangle]
+    # Off the edges, where a step along one side's normal runs along the other side.
+    inward = cover.places(skin.points[skin.triangles[triangle]].mean(axis=1)) - places
+    way = np.linalg.norm(inward, axis=1, keepdims=True)
+    places = places + inward * (OFF_EDGE / np.maximum(way, 1.0))
     step = STEP * inside.scale * normals
     points = cover.points(places)
     below, above = (inside.query(points + sign * step)[0] < 0.0 for sign in (-1.0, 1.0))
-    return OnSkin(places, normals, sheet[kept], sheet_tet[sheet[kept]], below, above)
+    return OnSkin(inside, cover, places, normals, sheet[kept], sheet_tet[sheet[kept]], below, above)
 
 
 def _insides(
@@ -141,7 +172,11 @@ def _insides(
     clear = inside.stays(points[row_of, a], points[row_of, b], STEP)
     between = np.stack([number[row_of, a], number[row_of, b]], axis=1)[clear]
     across = _across(inside, cover, pieces, names, on)
-    label = components(len(sheet_tet) + len(row), np.concatenate([across, to_sheet, between]))
+    bare = np.setdiff1d(
+        on.sheet, on.sheet[on.below | on.above]
+    )  # sheets with no inside of their own stay together
+    together = chains(sheet_tet[bare], bare)
+    label = components(len(sheet_tet) + len(row), np.concatenate([across, to_sheet, between, together]))
     return label[: len(sheet_tet)]
 
 

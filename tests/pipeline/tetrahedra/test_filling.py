@@ -78,13 +78,13 @@ def test_parts_of_tets_from_elsewhere(shapes, lattices):
     assert np.sum(part * volumes(bare)) == pytest.approx(shape.volume, rel=0.01)
 
 
-@pytest.mark.parametrize("gap", [0.2, 0.05, 0.02, 0.001])
-def test_prongs_nearer_than_a_tet_are_not_welded(gap, make_fork):
+@pytest.mark.parametrize("gap,edge", [(0.2, 0.1), (0.05, 0.1), (0.02, 0.07), (0.001, 0.1), (0.001, 0.13)])
+def test_prongs_nearer_than_a_tet_are_not_welded(gap, edge, make_fork):
     """Above the bar, which ends at .3, the prongs of a fork share no node, whatever their distance."""
     shape = make_fork(gap)
-    lattice = fill_anew(shape.points, shape.triangles, edge=0.1)
+    lattice = fill_anew(shape.points, shape.triangles, edge=edge)
     assert pieces(lattice) == 1
-    above = lattice.nodes[lattice.tets].mean(axis=1)[:, 1] > 0.5
+    above = lattice.nodes[lattice.tets].mean(axis=1)[:, 1] > 0.6
     assert pieces(lattice, above) == 2
     embedding, _ = embed(shape.points, lattice)
     label = components(len(lattice.nodes), np.concatenate([lattice.tets[above][:, [0, k]] for k in (1, 2, 3)]))
@@ -117,6 +117,15 @@ def test_edge_is_the_mean_edge(shapes):
     ends = lattice.nodes[lattice.tets]
     lengths = [np.linalg.norm(ends[:, a] - ends[:, b], axis=1) for a in range(4) for b in range(a)]
     assert np.mean(lengths) == pytest.approx(0.17, rel=1e-9)
+
+
+def test_two_sides_of_a_sheet_stay_together(shapes):
+    """A closed skin without any thickness is one piece, in which no tet is there twice."""
+    sheet = shapes["sheet"]
+    lattice = fill_anew(sheet.points, np.concatenate([sheet.triangles, sheet.triangles[:, ::-1]]), edge=0.1)
+    assert pieces(lattice) == 1
+    middles = np.round(lattice.nodes[lattice.tets].mean(axis=1), 9)
+    assert len(np.unique(middles, axis=0)) == len(lattice.tets)
 
 
 def test_the_same_every_time(shapes):
