@@ -1,9 +1,10 @@
-"""Undoes tangles that elastic forces cannot: stars of tets wrapped around their node twice, no tet inside out.
+"""Undoes tangles that elastic forces cannot: tets wrapped twice around an edge, none of them inside out.
 
 No motion short of turning tets inside out again leads out of such a state: the energy has a minimum there. It is
-known by its solid angles: around a node they add up to 4 pi at most, in a tangle to 8 pi. A star that stays so for
-a while is let go: the strained tets around it, with a margin, are filled anew by the harmonic extension of the
-displacements from the animated pose around them, and elasticity does the rest.
+known by its dihedral angles: around an edge they add up to 2 pi at most, in a tangle to 4 pi. (A star of tets
+wrapped twice around a node is a branched cover of the sphere, so it has such edges.) A tangle that stays for a while
+is let go: the strained tets around it, with a margin, are filled anew by the harmonic extension of the displacements
+from the animated pose around them, and elasticity does the rest.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from plait.solver.tets.targets import Targets
 
 # A tet is strained that has less than this part of its volume, or an edge that differs by more than that.
 SQUEEZED, STRAINED = 0.3, 0.3
-# [sr] no star fills more, or less, in a state that could be: midway to what tangled ones fill.
-FULL, EMPTY = 6.0 * np.pi, -2.0 * np.pi
+# [rad] no edge is surrounded by more, or less, in a state that could be: midway to what tangled ones are.
+FULL, EMPTY = 3.0 * np.pi, -np.pi
 # [s] A tangle that lasts so long is let go. Twice as long again if it is back, with twice the margin of RINGS
 # tets; in a body that a skeleton moves and may hold so, with the same, and not before it has moved.
 PATIENCE, RINGS = 0.25, 2
@@ -31,7 +32,7 @@ PATIENCE, RINGS = 0.25, 2
 ALL_OVER = 4.0
 TOLERANCE, MAX_ITERATIONS = 1e-5, 2000
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
-FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
+OPPOSITE = np.array([[2, 3], [3, 1], [1, 2], [0, 3], [2, 0], [0, 1]])  # so that the two with these are positive
 
 
 class Recovery:
@@ -112,19 +113,24 @@ class Recovery:
         stretch = self._lengths(position) / self._rest_lengths
         return (volume < SQUEEZED * self._volume) | (np.abs(stretch - 1.0) > STRAINED).any(axis=1)
 
+    @cached_property
+    def _edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """(edge_count, 2) nodes; (tet_count, 6) which of them are the edges of each tet."""
+        ends = np.sort(self._tets[:, EDGES].reshape(-1, 2), axis=1)
+        edges, index = np.unique(ends, axis=0, return_inverse=True)
+        return edges, index.reshape(-1, len(EDGES))
+
     def _tangled(self, position: np.ndarray, strained: np.ndarray) -> np.ndarray:
-        """(node_count,) bool: free nodes whose star of tets wraps around them."""
-        near = np.zeros(len(position), dtype=bool)
-        near[self._tets[strained]] = True
-        near &= ~self._pinned
-        angle = np.zeros(len(position))
-        for corner, face in enumerate(FACES):
-            here = near[self._tets[:, corner]]
-            tets = self._tets[here]
-            at = position[tets[:, corner]]
-            angles = _solid_angles(*(position[tets[:, k]] - at for k in face))
-            angle += np.bincount(tets[:, corner], angles, len(position))
-        return near & ((angle > FULL) | (angle < EMPTY))
+        """(node_count,) bool: the ends of edges that tets are wrapped around, but for pinned ones."""
+        edges, index = self._edges
+        near = self._touching(strained)
+        angle = np.bincount(index[near].ravel(), _dihedral_angles(position[self._tets[near]]).ravel(), len(edges))
+        # Edges of a strained tet have all of their tets among those.
+        whole = np.zeros(len(edges), dtype=bool)
+        whole[index[strained]] = True
+        tangled = np.zeros(len(position), dtype=bool)
+        tangled[edges[whole & ((angle > FULL) | (angle < EMPTY))]] = True
+        return tangled & ~self._pinned
 
     def _region(self, tangled: np.ndarray, strained: np.ndarray, rings: int) -> np.ndarray:
         """Nodes to fill anew: all that only tets of the tangles' strained surroundings and `rings` more have."""
@@ -196,9 +202,11 @@ class Recovery:
         return out
 
 
-def _solid_angles(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Of the triangles a, b, c seen from the origin, negative from behind (van Oosterom and Strackee 1983)."""
-    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
-    volume = np.einsum("ni,ni->n", a, np.cross(b, c))
-    ab, bc, ca = np.einsum("ni,ni->n", a, b), np.einsum("ni,ni->n", b, c), np.einsum("ni,ni->n", c, a)
-    return 2.0 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
+def _dihedral_angles(corners: np.ndarray) -> np.ndarray:
+    """(n, 6) [rad] at the edges of tets with corners (n, 4, 3), negative in tets inside out."""
+    start = corners[:, EDGES[:, 0]]
+    along = corners[:, EDGES[:, 1]] - start
+    one, other = corners[:, OPPOSITE[:, 0]] - start, corners[:, OPPOSITE[:, 1]] - start
+    normal, beside = np.cross(along, one), np.cross(along, other)
+    volume = np.einsum("nei,nei->ne", along, np.cross(one, other))
+    return np.arctan2(volume * np.linalg.norm(along, axis=2), np.einsum("nei,nei->ne", normal, beside))
