@@ -2,8 +2,8 @@
 
 No motion short of turning tets inside out again leads out of such a state: the energy has a minimum there. It is
 known by its dihedral angles: around an edge they add up to 2 pi at most, in a tangle to 4 pi. (A star of tets
-wrapped twice around a node is a branched cover of the sphere, so it has such edges.) A tangle that stays for a while
-is let go: the strained tets around it, with a margin, are filled anew by the harmonic extension of the displacements
+wrapped twice around a node is a branched cover of the sphere, so it has such edges.) A tangle that stays for long
+is let go: the strained tets around it, with a margin, are filled anew by the harmonic extension of displacements
 from the animated pose around them, and elasticity does the rest.
 """
 
