@@ -180,7 +180,9 @@ class Obstacles:
         found = {}
         for b in range(layout.body_count):
             nodes = layout.nodes(b)
-            margin = 2.0 * REACH * layout.edge[b]
+            # What is turned aside goes no further than it would have gone.
+            way = float(np.abs(ends[1][nodes] - ends[0][nodes]).max())
+            margin = way + 2.0 * REACH * layout.edge[b]
             lower = np.minimum(*(x[nodes].min(axis=0) for x in ends)) - margin
             upper = np.maximum(*(x[nodes].max(axis=0) for x in ends)) + margin
             for collider in self._kinematics.colliders_near(lower, upper, substep):

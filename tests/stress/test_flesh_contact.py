@@ -199,6 +199,7 @@ def test_a_block_drawn_through_a_gap_too_narrow_for_it(seed):
         friction=random.uniform(0.0, 0.5),
         pinned=bone,
         motion=motion,
+        mass_damping=10.0,
     )
     jaws = [
         solid_box(f"jaw {side:+.0f}", (0.1, 1.0, 2.0), (0.6, side * (0.5 * opening + 0.5), 0.0))

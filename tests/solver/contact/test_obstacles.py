@@ -165,7 +165,7 @@ def test_a_body_in_a_corner_of_one_surface_keeps_out_of_all_its_walls():
 # -- what hits hard ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("youngs_modulus", [1e4, 1e5, 1e7])
+@pytest.mark.parametrize("youngs_modulus", [1e4, pytest.param(1e5, marks=pytest.mark.slow), 1e7])
 @pytest.mark.parametrize("kind", ["thin box", "sheet", "sheet seen from below"])
 def test_a_thin_plate_stops_what_hits_it_at_ten_metres_a_second(kind, youngs_modulus):
     """Nothing passes; overlap <= 0.5 dx at the end of every substep."""
