@@ -47,7 +47,7 @@ class FleshSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """
 
     integrator: Literal["bdf2", "backward-euler", "symplectic-euler"] = "bdf2"
-    tolerance: Positive = 1e-3
+    tolerance: Positive = 1e-2
     max_iterations: Count = 40
 
 
