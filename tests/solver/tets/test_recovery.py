@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from .lattices import box_lattice
-from .recoveries import FRAME, Bent, bunny, diagonal, limb, recover, simulate, smooth_step
+from plait.solver.scene import Surface
+
+from ..contact.soft_scenes import solid_box
+from .lattices import box_body, box_lattice, keyed, placed
+from .recoveries import FRAME, Bent, bunny, deviation, diagonal, limb, recover, simulate, smooth_step
 
 KINDS = ("flat", "point", "scrambled", "mirrored")
 PROMISE = 1e-6  # of the diagonal, the largest deviation
@@ -90,3 +93,28 @@ def test_a_jump_of_the_skeleton_takes_the_flesh_along(degrees, shift, lasts):
             assert speed.max() < POP_SPEED  # false for what is not a number, too
     simulation.close()
     assert pops > 0
+
+
+@pytest.mark.parametrize("cells", [2, pytest.param(5, marks=pytest.mark.slow)])
+def test_a_crushed_box_returns(cells):
+    """Pressed flat between two plates, to a tenth of its height and beyond what its tets bear, and let go."""
+    size, half = 0.2, 0.1
+    body, skin = box_body((size, size, size), cells, mass_damping=20.0, youngs_modulus=2e4)
+
+    def plate(side: int) -> Surface:
+        ways = [0.0, 0.0, 0.9 * half, 0.9 * half, -size, -size]
+        motion = keyed([0.0, 0.05, 0.45, 0.55, 0.7, 10.0], [placed((0.0, -side * way, 0.0)) for way in ways])
+        return solid_box(f"plate {side}", (1.0, size, 1.0), (0.0, side * (half + 0.5 * size), 0.0), motion=motion)
+
+    simulation = simulate(body, skin, plate(1), plate(-1), substeps=8)
+    stage, height = simulation.model.parts["tets"], size
+    for frame in range(72):
+        simulation.advance_frame((frame + 1) * FRAME)
+        nodes = stage.nodes(0)
+        height = min(height, np.ptp(nodes[:, 1]))
+        left = deviation(nodes, body.nodes)
+        if frame > 24 and left < 0.5 * PROMISE:
+            break
+    simulation.close()
+    assert height < 0.25 * size
+    assert left < PROMISE
