@@ -15,9 +15,16 @@ from plait.solver.scene import Pose, Scene, Skinning, Surface, TetBody
 from plait.solver.settings import FleshSettings, Settings
 from plait.solver.step import Simulation
 
-from .lattices import box_lattice, tet_body
+from ..contact.soft_scenes import solid_box
+from .lattices import box_body, box_lattice, keyed, placed, tet_body
 
 FRAME = 1.0 / 24.0
+KINDS = ("flat", "point", "scrambled", "mirrored")
+# What must hold: the largest deviation from the rest shape, by its diagonal; and speeds [m/s] after a jump.
+PROMISE, POP_SPEED = 1e-6, 2.0
+COARSE_ELBOW = {"core": 0.55, "across": 3}
+ELBOW = {"core": 0.55}
+KNEE = {"core": 0.7, "radii": (0.07, 0.045), "length": 0.7}
 
 
 def bunny(budget: int) -> tuple[np.ndarray, np.ndarray]:
@@ -83,7 +90,7 @@ def recover(
     *,
     touching: bool = True,
     frames: int = 240,
-    goal: float = 5e-7,
+    goal: float = 0.5 * PROMISE,
 ) -> tuple[float, dict[str, Any]]:
     """Deviation after at most `frames`, less once it is below `goal`; and the metrics, tangles added up.
 
@@ -161,3 +168,67 @@ def limb(
 def smooth_step(t: float) -> float:
     t = min(max(t, 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t)
+
+
+def unbend(shape: dict[str, Any]) -> tuple[float, float]:
+    """A limb bent to 120 degrees within half a second, and back.
+
+    The furthest that a node was from rest, and in the end, both by the diagonal.
+    """
+
+    def angle(time: float) -> float:
+        return np.radians(120.0) * smooth_step(2.0 * time) * (1.0 - smooth_step(2.0 * (time - 0.6)))
+
+    body, skin = limb(Bent(angle), **shape)
+    simulation = simulate(body, skin, substeps=4)
+    stage, furthest = simulation.model.parts["tets"], 0.0
+    for frame in range(96):
+        simulation.advance_frame((frame + 1) * FRAME)
+        left = np.linalg.norm(stage.nodes(0) - body.nodes, axis=1).max() / diagonal(body.nodes)
+        furthest = max(furthest, left)
+    simulation.close()
+    return furthest, left
+
+
+def jump(shape: dict[str, Any], degrees: float, shift: float, lasts: float) -> tuple[int, float]:
+    """A joint turned and moved [m] at once, or within `lasts` [s].
+
+    The pops noticed, and the highest speed [m/s] that a frame ends with: not a number if one is.
+    """
+
+    def part(time: float) -> float:
+        since = time - 2.0 * FRAME
+        return float(since > 0.0) if lasts == 0.0 else min(max(since / lasts, 0.0), 1.0)
+
+    body, skin = limb(Bent(lambda t: np.radians(degrees) * part(t), lambda t: shift * part(t)), **shape)
+    simulation = simulate(body, skin, substeps=8)
+    stage, pops, highest = simulation.model.parts["tets"], 0, 0.0
+    for frame in range(24):
+        pops += simulation.advance_frame((frame + 1) * FRAME)["tets"]["pops"]
+        if frame >= 2:
+            highest = np.maximum(highest, np.linalg.norm(stage.node_velocities(0), axis=1).max())
+    simulation.close()
+    return pops, float(highest)
+
+
+def crush(cells: int) -> tuple[float, float]:
+    """A box pressed to a tenth of its height between two plates, and let go: its least part of it, its deviation."""
+    size, half = 0.2, 0.1
+    body, skin = box_body((size, size, size), cells, mass_damping=20.0, youngs_modulus=2e4)
+
+    def plate(side: int) -> Surface:
+        ways = [0.0, 0.0, 0.9 * half, 0.9 * half, -size, -size]
+        motion = keyed([0.0, 0.05, 0.45, 0.55, 0.7, 10.0], [placed((0.0, -side * way, 0.0)) for way in ways])
+        return solid_box(f"plate {side}", (1.0, size, 1.0), (0.0, side * (half + 0.5 * size), 0.0), motion=motion)
+
+    simulation = simulate(body, skin, plate(1), plate(-1), substeps=8)
+    stage, height = simulation.model.parts["tets"], size
+    for frame in range(72):
+        simulation.advance_frame((frame + 1) * FRAME)
+        nodes = stage.nodes(0)
+        height = min(height, np.ptp(nodes[:, 1]))
+        left = deviation(nodes, body.nodes)
+        if frame > 24 and left < 0.5 * PROMISE:
+            break
+    simulation.close()
+    return height / size, left
