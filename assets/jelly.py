@@ -24,7 +24,8 @@ def bear(triangles: int = 2400) -> tuple[np.ndarray, np.ndarray]:
 def bear_distance(points: np.ndarray) -> np.ndarray:
     """(n,) signed distance [m] to the bear, which is its own mirror image."""
     p = np.column_stack([np.abs(points[:, 0]), points[:, 1:]])
-    d = ellipsoid(p, (0.0, -0.035, 0.0), (0.052, 0.060, 0.045))
+    d = ellipsoid(p, (0.0, -0.040, 0.0), (0.052, 0.060, 0.045))
+    d = blend(d, ellipsoid(p, (0.0, -0.082, -0.040), (0.022, 0.018, 0.022)), 0.010)
     d = blend(d, ellipsoid(p, (0.0, 0.050, 0.004), (0.042, 0.038, 0.038)), 0.015)
     d = blend(d, ellipsoid(p, (0.0, 0.040, 0.040), (0.018, 0.015, 0.016)), 0.010)
     d = blend(d, ellipsoid(p, (0.034, 0.083, 0.0), (0.016, 0.016, 0.011)), 0.006)
