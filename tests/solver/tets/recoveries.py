@@ -212,7 +212,7 @@ def jump(shape: dict[str, Any], degrees: float, shift: float, lasts: float) -> t
 
 
 def crush(cells: int) -> tuple[float, float]:
-    """A box pressed to a tenth of its height between two plates, and let go: its least part of it, its deviation."""
+    """A box pressed to a tenth of its height between two plates, and let go: height left, deviation after."""
     size, half = 0.2, 0.1
     body, skin = box_body((size, size, size), cells, mass_damping=20.0, youngs_modulus=2e4)
 
