@@ -22,7 +22,7 @@ def principal_functions(real: type) -> SimpleNamespace:
     rotations = rotation_functions(real)
     mat33, vec3, rotation = rotations.mat33, rotations.vec3, rotations.rotation
     module = module_name(real)
-    negligible = 1.0e-16 if real == wp.float32 else 1.0e-32
+    negligible = 1.0e-14 if real == wp.float32 else 1.0e-31
 
     @partial(wp.struct, module=module)
     class PrincipalHessian:
@@ -82,13 +82,19 @@ def principal_functions(real: type) -> SimpleNamespace:
     def at_least(hessian: PrincipalHessian, floor: real):
         """Every eigenvalue raised to `floor`: the nearest such Hessian in the Frobenius norm."""
         out = PrincipalHessian()
-        values, vectors = eigen(hessian.normal)
-        raised = vec3()
         for k in range(3):
-            raised[k] = wp.max(values[k], floor)
             out.symmetric[k] = wp.max(hessian.symmetric[k], floor)
             out.twist[k] = wp.max(hessian.twist[k], floor)
-        out.normal = vectors * wp.diag(raised) * wp.transpose(vectors)
+        out.normal = hessian.normal
+        above = hessian.normal - floor * wp.identity(n=3, dtype=real)
+        minor = above[0, 0] * above[1, 1] - above[0, 1] * above[1, 0]
+        # Sylvester's criterion: mostly nothing is to be raised.
+        if not (above[0, 0] > real(0.0) and minor > real(0.0) and wp.determinant(above) > real(0.0)):
+            values, vectors = eigen(hessian.normal)
+            raised = vec3()
+            for k in range(3):
+                raised[k] = wp.max(values[k], floor)
+            out.normal = vectors * wp.diag(raised) * wp.transpose(vectors)
         return out
 
     @wp.func(module=module)
