@@ -25,6 +25,7 @@ PARTING = 0.25
 # Jacobi sweeps over the rows in each of the outer sweeps.
 INNER_SWEEPS = 4
 DEFAULT_FRICTION = 0.5
+REMEMBERED = ("triangle", "normal", "gap")
 # Part of a point's weight on nodes that are not pinned, from which on contact moves it.
 LEAST_MOBILE = 0.25
 # A point is not moved within its tet by more than this in barycentric weights: that tet is squashed.
@@ -36,7 +37,8 @@ FURTHEST = 1.0
 class SkinContact:
     """Contact of skins, as impulses between particles and the nearest points of triangles.
 
-    State array contact/skin_triangle: (particle_count * SLOTS,) int32, where each particle touched last.
+    State arrays contact/skin_triangle, skin_normal, skin_gap: (particle_count * SLOTS,), see `Touching`: where
+    each particle touched last.
 
     too_fast: in this substep something that meets moves by more than the settings' `cfl` cells.
     """
@@ -53,7 +55,7 @@ class SkinContact:
         self._skins = self._make_skins()
         device, slots = model.launcher.device, particles.count * SLOTS
         self._touching, self._before = _touching(slots, device), _touching(slots, device)
-        state.arrays["contact/skin_triangle"] = self._touching.triangle
+        state.arrays |= {f"contact/skin_{name}": getattr(self._touching, name) for name in REMEMBERED}
         self._end = wp.zeros_like(particles.position)
         self.too_fast = False
         self._begin_counts()
@@ -113,7 +115,8 @@ class SkinContact:
         wp.utils.array_cast(particles.position, self._query_points)
         for mesh in self._meshes:
             mesh.refit()
-        wp.copy(self._before.triangle, self._touching.triangle)
+        for name in REMEMBERED:
+            wp.copy(getattr(self._before, name), getattr(self._touching, name))
         inputs = [
             particles.layout.body_count,
             skins,
@@ -207,7 +210,8 @@ class SkinContact:
     def retract(self) -> None:
         """All as it was before `begin_substep`."""
         if self._searched:
-            wp.copy(self._touching.triangle, self._before.triangle)
+            for name in REMEMBERED:
+                wp.copy(getattr(self._touching, name), getattr(self._before, name))
 
     # -- reporting -----------------------------------------------------------------------------------------
 

@@ -30,7 +30,7 @@ SAME_DISTANCE = wp.constant(wp.float64(1.0e-9))
 # [cells] Below this distance two points have no direction between them; and what is deeper is not led back out.
 NO_DIRECTION = wp.constant(wp.float64(1.0e-6))
 DEEPEST = wp.constant(wp.float64(1.0))
-HALF = wp.constant(wp.float64(0.5))
+TWO = wp.constant(wp.float64(2.0))
 
 
 @wp.struct
@@ -160,18 +160,23 @@ def outward_at(
 
 
 @wp.func
-def came_in_there(skins: Skins, before: Touching, q: int, triangle: int, weights: wp.vec3d) -> bool:
-    """Whether the particle touched this part of this skin in the substep before."""
+def came_in_there(
+    skins: Skins, before: Touching, q: int, triangle: int, weights: wp.vec3d, normal: wp.vec3d, most: wp.float64
+) -> bool:
+    """Whether the particle may have come behind this part of a skin from where it was in the substep before.
+
+    It was near there and on that side; where it was behind then, its gap was at most `most` [m].
+    """
     x = interpolate(get_triangle(skins.triangles, skins.rest, triangle), weights)
     for k in range(SLOTS):
-        known = before.triangle[q * SLOTS + k]
-        if known == triangle:
-            return True
+        at = q * SLOTS + k
+        known = before.triangle[at]
         if known >= 0:
             if skins.triangle_body[known] == skins.triangle_body[triangle]:
-                around = get_triangle(skins.triangles, skins.rest, known)
-                y = interpolate(around, closest_point(around, x).weights)
-                if wp.length(x - y) <= DEEPEST * skins.cell:
+                near = get_triangle(skins.triangles, skins.rest, known)
+                y = interpolate(near, closest_point(near, x).weights)
+                beside = wp.length(x - y) <= DEEPEST * skins.cell
+                if beside and wp.dot(before.normal[at], normal) > ZERO and wp.min(before.gap[at], ZERO) <= most:
                     return True
     return False
 
@@ -185,6 +190,7 @@ def place_on(
     q: int,
     triangle: int,
     farthest: wp.float64,
+    travel: wp.float64,
 ) -> Place:
     """The place of a triangle that the particle may touch: where it comes nearest, if it faces it there.
 
@@ -218,7 +224,7 @@ def place_on(
     if behind:
         if d > DEEPEST * skins.cell:
             return place
-        if not came_in_there(skins, before, q, triangle, nearest.weights):
+        if not came_in_there(skins, before, q, triangle, nearest.weights, place.normal, TWO * travel - d):
             return place
     place.found = True
     place.triangle = triangle
@@ -314,7 +320,8 @@ def find_places(
         return
     if reach[patch] < ZERO:
         return
-    farthest = reach[patch] + margin
+    travel = reach[patch] + margin
+    farthest = travel
     if known:
         farthest = wp.max(farthest, DEEPEST * skins.cell)
     x = position[q]
@@ -327,7 +334,7 @@ def find_places(
             face = wp.int32(0)
             while wp.mesh_query_aabb_next(query, face):
                 triangle = skins.first_triangle[b] + face
-                place = place_on(skins, position, normal, before, q, triangle, farthest)
+                place = place_on(skins, position, normal, before, q, triangle, farthest, travel)
                 if place.found:
                     put(skins, touching, q, place)
     drop_far_sides(skins, touching, q)
