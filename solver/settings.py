@@ -44,11 +44,14 @@ class FleshSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     integrator: 'bdf2' (default, second order), 'backward-euler' (damps), 'symplectic-euler' (explicit).
     tolerance: Newton stops when what is left of the forces is this part of those at the substep's start.
     max_iterations: Newton iterations before a substep is asked to be halved.
+    rpic_damping: of 'symplectic-euler', by a grid (Han 2019 4.2): 0 for none, else which part of what is not
+        rotation the transfers drop.
     """
 
     integrator: Literal["bdf2", "backward-euler", "symplectic-euler"] = "bdf2"
     tolerance: Positive = 1e-2
     max_iterations: Count = 40
+    rpic_damping: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0
 
 
 class GridSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

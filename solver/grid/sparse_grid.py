@@ -20,6 +20,7 @@ class SparseGrid:
 
     What it holds and what it costs follow the particles, wherever in space they are.
 
+    data: struct `Grid`.
     node_count: of the active blocks.  mass: (node_count,) float64 [kg] and velocity: vec3d [m/s], by `to_grid`.
     """
 
@@ -57,7 +58,7 @@ class SparseGrid:
         counts = np.bincount(node, minlength=self.node_count)
         grid.cell_first = hold(np.concatenate([[0], np.cumsum(counts)]), wp.int32)
         grid.particles = hold(np.argsort(node, kind="stable"), wp.int32)
-        self._grid = grid
+        self.data = grid
         self.mass = wp.zeros(self.node_count, dtype=wp.float64, device=self._launcher.device)
         self.velocity = wp.zeros(self.node_count, dtype=wp.vec3d, device=self._launcher.device)
         self._node_position = ((at[:, None] * BLOCK) + np.indices((BLOCK,) * 3).reshape(3, -1).T).reshape(-1, 3)
@@ -68,13 +69,13 @@ class SparseGrid:
 
     def to_grid(self, mass: wp.array, velocity: wp.array) -> None:
         """Fills `mass` and `velocity` from the particles': (particle_count,) float64 [kg], vec3d [m/s]."""
-        inputs = [self._grid, mass, velocity]
+        inputs = [self.data, mass, velocity]
         outputs = [self.mass, self.velocity]
         self._launcher.launch(to_grid, self.node_count, inputs, outputs, work_per_item=NODE_WORK)
 
     def from_grid(self, velocity_out: wp.array) -> None:
         """The grid's velocity at each particle, (particle_count,) vec3d [m/s]."""
-        inputs = [self._grid, self.velocity]
+        inputs = [self.data, self.velocity]
         launch = self._launcher.launch
         launch(from_grid, self._particle_count, inputs, [velocity_out], work_per_item=PARTICLE_WORK)
 

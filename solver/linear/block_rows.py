@@ -29,7 +29,7 @@ class BlockRows:
         device = launcher.device
         first, column = _pattern(corners, count)
         self.first_block, self.column = first, column
-        order, first_incidence = _incidences(corners, count)
+        order, first_incidence = incidences(corners, count)
         self._slots = _slots(corners, order, first, column)
 
         def hold(values: np.ndarray, dtype: Any = wp.int32) -> wp.array:
@@ -69,7 +69,7 @@ def _pattern(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.searchsorted(row, np.arange(count + 1)).astype(np.int32), (keys % count).astype(np.int32)
 
 
-def _incidences(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def incidences(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Entries 4 t + a of `corners` row by row, in ascending order, and where each row begins."""
     flat = corners.ravel()
     order = np.argsort(flat, kind="stable")

@@ -91,7 +91,9 @@ class BodySolver:
             self._ones = wp.ones(layout.node_count, dtype=wp.float64, device=device)
         self._explicit: ExplicitSteps | None = None
         if self._settings.integrator == "symplectic-euler" and self.newton is not None:
-            self._explicit = ExplicitSteps(self.newton, layout, index, model.launcher, real)
+            self._explicit = ExplicitSteps(
+                self.newton, layout, index, self._settings.rpic_damping, model.launcher, real
+            )
         self._recovery = Recovery(layout, index, self.targets, tangle, model.launcher, real)
         self._arrays = [getattr(motion, name)[self._nodes] for name in HELD]
         self._kept = [wp.zeros_like(array) for array in self._arrays]

@@ -13,6 +13,7 @@ from plait.solver.tets.elements import lame_parameters
 from plait.solver.tets.explicit_kernels import explicit_kernels
 from plait.solver.tets.layout import TetLayout
 from plait.solver.tets.newton import Newton
+from plait.solver.tets.rpic import RpicDamping
 
 # Of the longest stable step of the undeformed body; squeezed tets are stiffer.
 SAFETY = 0.5
@@ -22,9 +23,13 @@ NODE_WORK = 12
 class ExplicitSteps:
     """v += dt M^-1 f(x), x += dt v (Han et al. 2019 eq. 10 to 14 with alpha = 0)."""
 
-    def __init__(self, newton: Newton, layout: TetLayout, body: int, launcher: Launcher, real: type) -> None:
+    def __init__(
+        self, newton: Newton, layout: TetLayout, body: int, rpic_damping: float, launcher: Launcher, real: type
+    ) -> None:
+        """rpic_damping: see `rpic.py`; none at all where it is 0."""
         self._newton, self._launcher = newton, launcher
         self._kernels, self._nodes = explicit_kernels(real), layout.nodes(body)
+        self._rpic = RpicDamping(layout, body, rpic_damping, launcher) if rpic_damping > 0.0 else None
         self.longest = SAFETY * _stable_step(layout, body)
         unknown = np.full(self._nodes.stop - self._nodes.start, -1, dtype=np.int32)
         free = ~layout.pinned[self._nodes]
@@ -45,7 +50,10 @@ class ExplicitSteps:
                 damping.begin(self._previous, motion.position, self._previous, 0.5, step.length / count)
                 damping.add_forces(motion.position, force)
             inputs = [step, count, k, self._newton.rows.incidence, self._unknown, force]
-            launch(kernels.advance, nodes, inputs, [motion], work_per_item=NODE_WORK)
+            launch(kernels.kick, nodes, inputs, [motion], work_per_item=NODE_WORK)
+            if self._rpic is not None:
+                self._rpic.apply(motion)
+            launch(kernels.drift, nodes, [step, count], [motion])
 
 
 def _stable_step(layout: TetLayout, body: int) -> float:

@@ -36,9 +36,9 @@ def explicit_kernels(real: type) -> SimpleNamespace:
         previous_out[i] = motion.position[i] - (step.length / wp.float64(count)) * motion.velocity[i]
 
     @kernel
-    def advance(first: int, step: Step, count: int, k: int, incidence: Incidence,
+    def kick(first: int, step: Step, count: int, k: int, incidence: Incidence,
                 unknown: wp.array(dtype=wp.int32), force: wp.array(dtype=vec3), motion_out: Motion):  # fmt: skip
-        """Part k of `count` of the step."""
+        """Part k of `count` of the step: the free nodes' velocities, and where pinned nodes go."""
         node = first + wp.tid()
         i = step.first_node + node
         u = unknown[node]
@@ -56,8 +56,13 @@ def explicit_kernels(real: type) -> SimpleNamespace:
             if spring > wp.float64(0.0):
                 f += spring * (motion_out.goal[i] - x)
             v = motion_out.velocity[i] + dt * (f / motion_out.mass[i] + step.gravity)
-            v = v / (wp.float64(1.0) + step.mass_damping * dt)
-            motion_out.velocity[i] = v
-            motion_out.position[i] = x + dt * v
+            motion_out.velocity[i] = v / (wp.float64(1.0) + step.mass_damping * dt)
 
-    return SimpleNamespace(begin=begin, retrace=retrace, advance=advance)
+    @kernel
+    def drift(first: int, step: Step, count: int, motion_out: Motion):
+        i = step.first_node + first + wp.tid()
+        if motion_out.pinned[i] == 0:
+            way = (step.length / wp.float64(count)) * motion_out.velocity[i]
+            motion_out.position[i] = motion_out.position[i] + way
+
+    return SimpleNamespace(begin=begin, retrace=retrace, kick=kick, drift=drift)

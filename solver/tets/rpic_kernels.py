@@ -1,0 +1,102 @@
+"""Kernels of `rpic.py`; float64 whatever the working precision."""
+
+import warp as wp
+
+from plait.solver.grid.transfer_kernels import STENCIL, Grid, node_after, node_before, weight_of
+
+wp.set_module_options({"enable_backward": False})
+
+# A star of tets flatter than this part of its size squared has no gradient across.
+FLAT = wp.constant(wp.float64(1.0e-6))
+
+
+@wp.struct
+class Star:
+    """The tets around each node of a body, all in the body's own numbers."""
+
+    first: wp.array(dtype=wp.int32)  # (node_count + 1,)
+    corner: wp.array(dtype=wp.int32)  # 4 t + a: the node is corner a of tet t
+    tet: wp.array(dtype=wp.vec4i)  # (tet_count,)
+
+
+@wp.func
+def place_of(i: int, j: int, k: int) -> wp.vec3d:
+    return wp.vec3d(wp.float64(i), wp.float64(j), wp.float64(k))
+
+
+@wp.kernel
+def fit_gradient(
+    first: int,
+    star: Star,
+    damping: wp.float64,
+    mass: wp.array(dtype=wp.float64),
+    position: wp.array(dtype=wp.vec3d),
+    velocity: wp.array(dtype=wp.vec3d),
+    gradient_out: wp.array(dtype=wp.mat33d),
+):
+    """C of least squares over the nodes of the star, damped; zero for a flat star."""
+    q = first + wp.tid()
+    spread = wp.mat33d()
+    change = wp.mat33d()
+    for k in range(star.first[q], star.first[q + 1]):
+        tet = star.tet[star.corner[k] / 4]
+        for a in range(4):
+            p = tet[a]
+            arm = position[p] - position[q]
+            spread += wp.outer(mass[p] * arm, arm)
+            change += wp.outer(mass[p] * (velocity[p] - velocity[q]), arm)
+    size = wp.trace(spread)
+    C = wp.mat33d()
+    if wp.determinant(spread) > FLAT * size * size * size:
+        C = change * wp.inverse(spread)
+    skew = wp.float64(0.5) * (C - wp.transpose(C))
+    gradient_out[q] = (wp.float64(1.0) - damping) * C + damping * skew
+
+
+@wp.kernel
+def carry_affine(
+    first: int,
+    grid: Grid,
+    cell_size: wp.float64,
+    mass: wp.array(dtype=wp.float64),
+    velocity: wp.array(dtype=wp.vec3d),
+    gradient: wp.array(dtype=wp.mat33d),
+    velocity_out: wp.array(dtype=wp.vec3d),
+):
+    """v_i; one grid node an item."""
+    node = first + wp.tid()
+    total = wp.float64(0.0)
+    momentum = wp.vec3d()
+    for i in range(STENCIL):
+        for j in range(STENCIL):
+            for k in range(STENCIL):
+                base = node_before(grid, node, i, j, k)
+                if base >= 0:
+                    place = place_of(i, j, k)
+                    for at in range(grid.cell_first[base], grid.cell_first[base + 1]):
+                        q = grid.particles[at]
+                        m = weight_of(grid.offset[q], i, j, k) * mass[q]
+                        total += m
+                        momentum += m * (velocity[q] + cell_size * (gradient[q] * (place - grid.offset[q])))
+    if total > wp.float64(0.0):
+        velocity_out[node] = momentum / total
+
+
+@wp.kernel
+def from_grid_to_free(
+    first: int,
+    grid: Grid,
+    node_velocity: wp.array(dtype=wp.vec3d),
+    pinned: wp.array(dtype=wp.int32),
+    velocity_out: wp.array(dtype=wp.vec3d),
+):
+    """v_q of the nodes that are not pinned."""
+    q = first + wp.tid()
+    if pinned[q] == 0:
+        total = wp.vec3d()
+        for i in range(STENCIL):
+            for j in range(STENCIL):
+                for k in range(STENCIL):
+                    node = node_after(grid, grid.base[q], i, j, k)
+                    total += weight_of(grid.offset[q], i, j, k) * node_velocity[node]
+        velocity_out[q] = total
