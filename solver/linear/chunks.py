@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import numpy as np
 import warp as wp
 
 LEAST, LEAST_CUDA = 256, 8
@@ -13,3 +16,11 @@ def chunk_size(count: int, device: wp.Device) -> int:
     if device.is_cuda:
         return max(LEAST_CUDA, -(-count // MOST_CHUNKS_CUDA))
     return max(LEAST, -(-count // MOST_CHUNKS))
+
+
+def reader(array: wp.array) -> Callable[[], np.ndarray]:
+    """What gives the array's present values on the host, asked often: on a CPU at no cost."""
+    if array.device.is_cuda:
+        return array.numpy
+    view = array.numpy()
+    return lambda: view

@@ -10,7 +10,7 @@ import warp as wp
 from plait.solver.launch import Launcher
 from plait.solver.linear.block_kernels import block_kernels
 from plait.solver.linear.block_rows import PRODUCT_WORK, BlockRows
-from plait.solver.linear.chunks import chunk_size
+from plait.solver.linear.chunks import chunk_size, reader
 
 UPDATE_WORK = 2
 # On a GPU each look at the residual waits for the device.
@@ -49,6 +49,7 @@ class ConjugateGradients:
         krylov.residual_square = wp.zeros(chunks, dtype=wp.float64, device=device)
         krylov.memory = wp.zeros((2, 2), dtype=wp.float64, device=device)
         self.krylov = krylov
+        self._memory, self._squares = reader(krylov.memory), reader(krylov.residual_square)
         kernels, data, a_row = self._kernels, rows.data, krylov.chunk
         prepare = launcher.prepare
         self._begin = prepare(kernels.begin, chunks, [data], [krylov], work_per_item=UPDATE_WORK * a_row)
@@ -75,7 +76,7 @@ class ConjugateGradients:
             parity = iteration % 2
             self._multiply()
             self._update[parity]()
-            if iteration % self._look_every == 0 and self.krylov.memory.numpy()[parity, 1] == 0.0:
+            if iteration % self._look_every == 0 and self._memory()[parity, 1] == 0.0:
                 self.definite = False
                 return iteration + 1
             if correction is not None:
@@ -83,4 +84,4 @@ class ConjugateGradients:
         return max_iterations
 
     def _residual_square(self) -> float:
-        return float(np.sum(self.krylov.residual_square.numpy()))
+        return float(np.sum(self._squares()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ import warp as wp
 
 from plait.solver.launch import Launcher
 from plait.solver.linear.block_rows import BlockRows
-from plait.solver.linear.chunks import chunk_size
+from plait.solver.linear.chunks import chunk_size, reader
 from plait.solver.linear.coarse import CoarseCorrection, Material
 from plait.solver.linear.conjugate_gradients import ConjugateGradients
 from plait.solver.tets import elements as tet_elements
@@ -131,6 +132,8 @@ class Newton:
         self._direction_sums = wp.zeros((chunks, 2), dtype=wp.float64, device=device)
         self._force_sums = wp.zeros(chunks, dtype=wp.float64, device=device)
         self._least = wp.zeros(tet_chunks, dtype=self.real, device=device)
+        self._read_sums, self._read_direction_sums = reader(self._sums), reader(self._direction_sums)
+        self._read_least = reader(self._least)
         direction = self.gradients.krylov.solution
         forces = [self._force, self._dilation]
         self._find_forces = prepare(law.force, tets, [self.elements, position], forces, work_per_item=FORCE_WORK)
@@ -148,6 +151,7 @@ class Newton:
             kernels.examine_direction, chunks, [chunk, unknowns, direction], [self._direction_sums],
             work_per_item=chunk,
         )  # fmt: skip
+        self._find_blocks: dict[str, Callable[[], None]] = {}
         self._take_start = prepare(kernels.take, count, [unknowns, position], [self._start])
 
     def force_size(self, step: Any, motion: Any) -> float:
@@ -197,9 +201,9 @@ class Newton:
             self.obstacles.add_forces(self._position, self._force)
         self._find_least()
         self._find_residual()
-        square, quadratic, work, forces = (float(value) for value in self._sums.numpy().sum(axis=0))
+        square, quadratic, work, forces = (float(value) for value in self._read_sums().sum(axis=0))
         rounding = self._rounding * np.sqrt(forces)
-        return Evaluation(np.sqrt(square), rounding, quadratic, work, float(self._least.numpy().min()))
+        return Evaluation(np.sqrt(square), rounding, quadratic, work, float(self._read_least().min()))
 
     def elastic_energy(self) -> float:
         """[J] at `position`."""
@@ -252,10 +256,13 @@ class Newton:
     def assemble(self, hessian: str) -> None:
         """The matrix at `position` from one of the Hessians of `element_kernels`: 'semi_definite', 'projected' or
         'exact', only the last of which may be indefinite."""
-        kernel = getattr(self._law, hessian)
-        work = tet_elements.SEMI_DEFINITE_WORK if hessian == "semi_definite" else tet_elements.PROJECTED_WORK
-        inputs = [self.elements, self._position]
-        self._launcher.launch(kernel, self.tet_count, inputs, [self._tet_blocks], work_per_item=work)
+        if hessian not in self._find_blocks:
+            work = tet_elements.SEMI_DEFINITE_WORK if hessian == "semi_definite" else tet_elements.PROJECTED_WORK
+            inputs, outputs = [self.elements, self._position], [self._tet_blocks]
+            self._find_blocks[hessian] = self._launcher.prepare(
+                getattr(self._law, hessian), self.tet_count, inputs, outputs, work_per_item=work
+            )
+        self._find_blocks[hessian]()
         if self.damping is not None:
             self.damping.add_stiffness(self._tet_blocks)
         if self.obstacles is not None:
@@ -291,7 +298,7 @@ class Newton:
             taken, definite = self._find_direction(hessian, forcing, correction)
             linear_iterations += taken
             self._examine_direction()
-            sums = self._direction_sums.numpy()
+            sums = self._read_direction_sums()
             longest, slope = float(np.sqrt(sums[:, 0].max())), float(sums[:, 1].sum())
             self._take_start()
             found = self._search(here, slope)
