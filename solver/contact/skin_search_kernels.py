@@ -30,7 +30,8 @@ SAME_DISTANCE = wp.constant(wp.float64(1.0e-9))
 # [cells] Below this distance two points have no direction between them; and what is deeper is not led back out.
 NO_DIRECTION = wp.constant(wp.float64(1.0e-6))
 DEEPEST = wp.constant(wp.float64(1.0))
-TWO = wp.constant(wp.float64(2.0))
+# What a particle may have moved in the substep before, at most, over what it may move in this one.
+SLACK = wp.constant(wp.float64(1.5))
 
 
 @wp.struct
@@ -165,7 +166,7 @@ def came_in_there(
 ) -> bool:
     """Whether the particle may have come behind this part of a skin from where it was in the substep before.
 
-    It was near there and on that side; where it was behind then, its gap was at most `most` [m].
+    It was near there and on that side, its gap at most `most` [m].
     """
     x = interpolate(get_triangle(skins.triangles, skins.rest, triangle), weights)
     for k in range(SLOTS):
@@ -176,7 +177,7 @@ def came_in_there(
                 near = get_triangle(skins.triangles, skins.rest, known)
                 y = interpolate(near, closest_point(near, x).weights)
                 beside = wp.length(x - y) <= DEEPEST * skins.cell
-                if beside and wp.dot(before.normal[at], normal) > ZERO and wp.min(before.gap[at], ZERO) <= most:
+                if beside and wp.dot(before.normal[at], normal) > ZERO and before.gap[at] <= most:
                     return True
     return False
 
@@ -224,7 +225,7 @@ def place_on(
     if behind:
         if d > DEEPEST * skins.cell:
             return place
-        if not came_in_there(skins, before, q, triangle, nearest.weights, place.normal, TWO * travel - d):
+        if not came_in_there(skins, before, q, triangle, nearest.weights, place.normal, SLACK * travel - d):
             return place
     place.found = True
     place.triangle = triangle
