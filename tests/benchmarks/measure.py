@@ -1,6 +1,6 @@
 """Runs every benchmark and writes `results/*.json` and the tables of the README, `results/tables.md`.
 
-    python tests/benchmarks/measure.py [cost] [pyelastica] [growth] [errors] [flesh]     default: all, ten minutes
+    python tests/benchmarks/measure.py [NAME ...]     of MEASUREMENTS below; default: all, fifteen minutes
 
 Run it on a machine that does nothing else. Figures of different machines do not compare; ratios within one run do.
 """
@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import contact_rules
 import flesh_cost
 import numpy as np
 import pyelastica_cost
@@ -189,8 +190,15 @@ MEASUREMENTS: dict[str, Callable[[], dict[str, Any]]] = {
     "growth": growth,
     "errors": errors,
     "flesh": flesh,
+    "contact": contact_rules.measure,
 }
-TABLES = {"cost": _cost_table, "growth": _growth_table, "errors": _errors_table, "flesh": _flesh_table}
+TABLES = {
+    "cost": _cost_table,
+    "growth": _growth_table,
+    "errors": _errors_table,
+    "flesh": _flesh_table,
+    "contact": contact_rules.table,
+}
 
 
 def main() -> None:
