@@ -27,7 +27,7 @@ def module_name(real: type) -> str:
 
 @cache
 def rotation_functions(real: type) -> SimpleNamespace:
-    """Device functions `cofactor`, `stretch_sum` and `rotation` for `real` (wp.float32 or wp.float64)."""
+    """Device functions `cofactor` and `rotation` for `real` (wp.float32 or wp.float64)."""
     module = module_name(real)
     mat33 = wp.types.matrix((3, 3), real)
     vec3 = wp.types.vector(3, real)
@@ -57,12 +57,6 @@ def rotation_functions(real: type) -> SimpleNamespace:
             f -= change
             iterations += 1
         return f
-
-    @wp.func(module=module)
-    def stretch_sum(F: mat33):
-        """tr S."""
-        C = cofactor(F)
-        return largest_root(wp.ddot(F, F), wp.ddot(C, C), wp.determinant(F))
 
     @wp.func(module=module)
     def from_invariants(F: mat33):
@@ -98,4 +92,4 @@ def rotation_functions(real: type) -> SimpleNamespace:
                 R = mat33(rotation_in_double(wp.mat33d(F)))
             return R
 
-    return SimpleNamespace(mat33=mat33, vec3=vec3, cofactor=cofactor, stretch_sum=stretch_sum, rotation=rotation)
+    return SimpleNamespace(mat33=mat33, vec3=vec3, cofactor=cofactor, rotation=rotation)
