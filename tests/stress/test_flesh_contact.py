@@ -91,6 +91,24 @@ def above(height: float) -> Callable[[np.ndarray], None]:
     return check
 
 
+@seeds()
+def test_a_block_dropped_aslant(seed):
+    """One block falls on a ball and a floor at up to 6 m/s: it goes into neither, and energy never rises."""
+    random = np.random.default_rng(seed)
+    middle, radius = np.array([0.1, 0.2, 0.0]), 0.15
+    points, triangles = sphere(radius, middle)
+    inner = inner_radius(points, triangles, middle)
+    obstacles = [floor(friction=0.5), Surface("ball", points, triangles, friction=0.3)]
+    play = Play([random_block(random, 0, np.array([random.uniform(-0.2, 0.2), 0.7, 0.0]))], obstacles)
+    play.throw([random.uniform(0.0, 5.0) * np.array([0.2, -1.0, 0.1])])
+
+    def check(skin: np.ndarray) -> None:
+        above(0.0)(skin)
+        assert np.linalg.norm(skin - middle, axis=1).min() > inner - OVERLAP * CELL
+
+    play.run(1.0, check)
+
+
 @seeds(quick=True)
 def test_blocks_dropped_on_each_other(seed):
     """Three blocks fall on a floor and on each other, past a ball fixed above it: none goes into floor or ball,
