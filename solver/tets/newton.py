@@ -13,13 +13,14 @@ import warp as wp
 from plait.solver.launch import Launcher
 from plait.solver.linear.block_rows import BlockRows
 from plait.solver.linear.chunks import chunk_size, reader
-from plait.solver.linear.coarse import CoarseCorrection, Material
+from plait.solver.linear.coarse import CoarseCorrection
 from plait.solver.linear.conjugate_gradients import ConjugateGradients
 from plait.solver.tets import elements as tet_elements
 from plait.solver.tets.body_kernels import body_kernels
 from plait.solver.tets.damping import StiffnessDamping
-from plait.solver.tets.elements import body_elements, element_kernels, element_types, lame_parameters
+from plait.solver.tets.elements import body_elements, element_kernels, element_types
 from plait.solver.tets.layout import TetLayout
+from plait.solver.tets.rest_material import rest_material
 
 if TYPE_CHECKING:
     from plait.solver.contact.obstacle_forces import ObstacleForces
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
 # Sufficient decrease; and the part of the slope that may remain where rounding hides the decrease.
 ARMIJO, CURVATURE = 1e-4, 0.9
 MAX_BACKTRACKS = 20
-# A linear solve is as exact as Newton's method can use: min(LOOSE, LOOSE sqrt(r / r0)).
-LOOSE = 0.1
+# How exactly linear solves are made; see `_forcing`.
+LOOSE, ENOUGH, TIGHT = 0.1, 0.3, 0.001
 MAX_LINEAR_ITERATIONS = 400
 # Beyond so many iterations, or with a tet squeezed to this part of its volume, the Hessian is projected exactly.
 CHEAP_ITERATIONS, SQUEEZED = 6, 0.2
@@ -112,7 +113,7 @@ class Newton:
         self.obstacles: ObstacleForces | None = None
         coefficient = layout.bodies[body].stiffness_damping
         self.damping = StiffnessDamping(self.elements, coefficient, launcher, real) if coefficient > 0.0 else None
-        self._material = _material(layout, body, node)
+        self._material = rest_material(layout, body, node)
         self._mean_stiffness = float(self._material.stiffness.mean())
         self._mean_mass = float(layout.mass[node].mean())
         self._reach = 0.0
@@ -294,8 +295,7 @@ class Newton:
                 return Outcome(True, iteration, linear_iterations, here.residual)
             if hessian == "semi_definite" and (iteration >= CHEAP_ITERATIONS or here.least_volume < SQUEEZED):
                 hessian = "projected"
-            forcing = min(LOOSE, LOOSE * np.sqrt(here.residual / max(reference, here.residual)))
-            taken, definite = self._find_direction(hessian, forcing, correction)
+            taken, definite = self._find_direction(hessian, _forcing(here.residual, reference, goal), correction)
             linear_iterations += taken
             self._examine_direction()
             sums = self._read_direction_sums()
@@ -371,26 +371,12 @@ class Newton:
         return None
 
 
-def _material(layout: TetLayout, body: int, node: np.ndarray) -> Material:
-    """Of the unknowns at `node`, (unknown_count,)."""
-    tet_range = slice(int(layout.first_tet[body]), int(layout.first_tet[body + 1]))
-    tets, volume = layout.tets[tet_range], layout.volume[tet_range]
-    mu, lam = lame_parameters(layout.bodies[body].youngs_modulus, layout.bodies[body].poissons_ratio)
-    slopes, pinned = layout.slopes(body), layout.pinned[tets]
-    # A third of the trace of a diagonal block; and of what couples a corner to pinned ones, if that holds it back.
-    modulus = (volume * (4.0 * mu + lam) / 3.0)[:, None]
-    own = modulus * np.square(slopes).sum(axis=2)
-    held = modulus * np.maximum(-np.einsum("tai,tbi,tb->ta", slopes, slopes, pinned), 0.0)
+def _forcing(residual: float, reference: float, goal: float) -> float:
+    """The part of the residual that a linear solve may leave.
 
-    def on_nodes(values: np.ndarray) -> np.ndarray:
-        return np.bincount(tets.ravel(), values.ravel(), minlength=layout.node_count)[node]
-
-    return Material(
-        points=layout.rest[node],
-        stiffness=on_nodes(own),
-        penalty=on_nodes(held),
-        centres=layout.rest[tets].mean(axis=1),
-        mu=mu * volume,
-        lam=lam * volume,
-        edge=float(layout.edge[body]),
-    )
+    As much as Newton's method gains by itself, LOOSE sqrt(r / r0); but where one solve can end the iteration, it
+    is to leave no more than ENOUGH of the goal: its iterations are cheap beside one of Newton's.
+    """
+    last = ENOUGH * goal / residual
+    usual = LOOSE * np.sqrt(min(1.0, residual / reference)) if reference > 0.0 else LOOSE
+    return min(usual, last) if last >= TIGHT else usual
