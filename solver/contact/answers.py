@@ -22,11 +22,13 @@ class Answers:
         volume = np.array([layout.volume[slice(*layout.first_tet[b : b + 2])].sum() for b in bodies])
         mass = np.array([layout.mass[layout.nodes(b)].sum() for b in bodies])
         area = np.bincount(particles.body, particles.area, layout.body_count)
-        areal_mass = np.bincount(particles.body, particles.mass, layout.body_count) / area
+        skin_mass = np.bincount(particles.body, particles.mass, layout.body_count)
+        # A body that does not collide has neither.
+        area, skin_mass = (np.where(area > 0.0, a, 1.0) for a in (area, skin_mass))
         # A third of a cube's side, a plate's thickness.
         self._depth = 2.0 * volume / area
         self._speed = np.sqrt([np.mean(body.youngs_modulus) for body in layout.bodies] / (mass / volume))
-        self._layers = (mass / volume) / areal_mass
+        self._layers = (mass / volume) * area / skin_mass
 
     def after_solve(self, time: float) -> np.ndarray:
         """What the same impulse moves as a force within an implicit solve over `time` [s], estimated.

@@ -156,6 +156,6 @@ def mean_cell_size(layout: TetLayout) -> float:
 
 
 def build_contact(model: Model, state: State, layout: TetLayout) -> BodyContact | None:
-    """The contact of a scene's bodies; None where nothing can ever touch."""
-    contact = BodyContact(model, state, layout)
-    return contact if contact.parts else None
+    """The contact of a scene's bodies; None where nothing can ever touch: no skin of theirs collides."""
+    colliding = any(model.scene.surfaces[body.surface].collides for body in layout.bodies)
+    return BodyContact(model, state, layout) if colliding else None

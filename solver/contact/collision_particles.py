@@ -8,7 +8,7 @@ import warp as wp
 from plait.solver.contact.particle_kernels import face_areas, gather, particle_normals, scatter_impulse, vec4i
 from plait.solver.contact.skin_lattice import SkinLattice, lay_lattice, locate
 from plait.solver.launch import Launcher
-from plait.solver.scene import Scene
+from plait.solver.scene import Scene, Surface
 from plait.solver.tets.layout import TetLayout
 
 # Rounds of the mass fit: the first by all of a node's particles, the last such that no node is overdrawn.
@@ -20,7 +20,7 @@ class CollisionParticles:
 
     Particle q sits in the tet with nodes p at plain barycentric weights b_pq: x_q = sum_p b_pq x_p. Body b owns
     particles first[b]:first[b + 1]; the first of them are the points of its surface, in the surface's order, so
-    that `triangles` name particles.
+    that `triangles` name particles. A surface that does not collide has no triangles here, and only those points.
 
     On the host, constant:
     body: (count,) int32.  first: (body_count + 1,) int32.  rest: (count, 3) float64 [m], each body's rest space.
@@ -45,7 +45,7 @@ class CollisionParticles:
         self.rest, self.tet, self.weights = (np.concatenate([part[k] for part in parts]) for k in (1, 2, 3))
         self.nodes = layout.tets[self.tet]
         self.area = np.concatenate([lattice.area for lattice in lattices])
-        skins = [np.asarray(scene.surfaces[body.surface].triangles).reshape(-1, 3) for body in layout.bodies]
+        skins = [_skin(scene.surfaces[body.surface]) for body in layout.bodies]
         self.triangles = np.concatenate([skin + self.first[b] for b, skin in enumerate(skins)]).astype(np.int32)
         self.triangle_body = np.repeat(np.arange(len(skins)), [len(skin) for skin in skins]).astype(np.int32)
         self.mass = fit_masses(self.nodes, self.weights, self.area, layout.mass)
@@ -139,15 +139,23 @@ def fit_masses(nodes: np.ndarray, weights: np.ndarray, area: np.ndarray, node_ma
     nearest = nodes[np.arange(len(b)), b.argmax(axis=1)]
     boundary[nearest[taking_part]] = True
     on_boundary = b * boundary[nodes]
-    share = on_boundary / on_boundary.sum(axis=1, keepdims=True)
+    total = on_boundary.sum(axis=1, keepdims=True)
+    share = np.divide(on_boundary, total, out=np.zeros_like(b), where=total > 0.0)
     mass = np.where(taking_part, area * node_mass[boundary].sum() / area.sum(), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         for _ in range(FIT_ROUNDS):
-            mass *= (share * np.where(boundary, node_mass / drawn(mass), 0.0)[nodes]).sum(axis=1)
+            room = np.where(boundary, node_mass / drawn(mass), 0.0)
+            mass *= np.where(taking_part, (share * room[nodes]).sum(axis=1), 1.0)
         for _ in range(GROW_ROUNDS):
             room = np.nan_to_num(node_mass / drawn(mass), nan=np.inf, posinf=np.inf)
             mass *= np.where(taking_part, np.where(b > 0.0, room[nodes], np.inf).min(axis=1), 1.0)
     return mass
+
+
+def _skin(surface: Surface) -> np.ndarray:
+    """(n, 3) the triangles that collide."""
+    triangles = np.asarray(surface.triangles, dtype=np.int32).reshape(-1, 3)
+    return triangles if surface.collides else triangles[:0]
 
 
 def _offsets(counts: np.ndarray) -> np.ndarray:
@@ -160,7 +168,7 @@ def _body_particles(
     """One body's lattice, rest points (n, 3), tets (n,) among those of all bodies, and weights (n, 4)."""
     body = layout.bodies[index]
     points = np.asarray(scene.surfaces[body.surface].points, dtype=np.float64)
-    lattice = lay_lattice(points, scene.surfaces[body.surface].triangles, spacing)
+    lattice = lay_lattice(points, _skin(scene.surfaces[body.surface]), spacing)
     rest = np.einsum("nk,nkd->nd", lattice.weight, points[lattice.corner])
     tets = np.asarray(body.tets)
     tet, weights = locate(rest[len(points) :], np.asarray(body.nodes, dtype=np.float64), tets)

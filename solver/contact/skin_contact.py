@@ -82,12 +82,14 @@ class SkinContact:
         skins.cell, skins.apart_at_rest = self._cell, APART_AT_REST * self._cell
         # Built at rest, whenever the run starts, so that a resumed run finds the same.
         self._query_points = hold(particles.rest, wp.vec3f)
-        self._meshes = []
+        self._meshes, ids = [], np.zeros(body_count, dtype=np.uint64)
         for b in range(body_count):
             own = slice(int(particles.first[b]), int(particles.first[b + 1]))
             triangles = particles.triangles[first[b] : first[b + 1]] - own.start
-            self._meshes.append(wp.Mesh(self._query_points[own], hold(triangles.ravel(), wp.int32)))
-        skins.mesh = hold(np.array([mesh.id for mesh in self._meshes], dtype=np.uint64), wp.uint64)
+            if len(triangles):
+                self._meshes.append(wp.Mesh(self._query_points[own], hold(triangles.ravel(), wp.int32)))
+                ids[b] = self._meshes[-1].id
+        skins.mesh = hold(ids, wp.uint64)
         return skins
 
     # -- finding -------------------------------------------------------------------------------------------

@@ -38,6 +38,12 @@ def lay_lattice(points: np.ndarray, triangles: np.ndarray, spacing: float) -> Sk
     points: (n, 3) float64 [m].  triangles: (m, 3). Neighbouring triangles share the particles on their edge.
     """
     triangles = np.asarray(triangles).reshape(-1, 3)
+    if not len(triangles):
+        none = np.zeros(0, dtype=np.int32)
+        corner = np.tile(np.arange(len(points), dtype=np.int32)[:, None], (1, 3))
+        return SkinLattice(
+            corner, _unit(len(points)), np.zeros(len(points)), np.zeros(len(points) + 1, dtype=np.int32), none
+        )
     pairs = np.sort(triangles[:, EDGES], axis=2).reshape(-1, 2)
     edges, edge_of = np.unique(pairs, axis=0, return_inverse=True)
     edge_of = edge_of.reshape(-1, 3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -92,6 +94,19 @@ def test_skins_that_overlap_from_the_start_are_left_alone():
         for _ in range(30):
             pair.step(step)
             assert not pair.impulse.any()
+
+
+def test_what_does_not_collide_is_passed_through():
+    """A skin with `collides` off touches nothing, and its body is as fast afterwards."""
+    scene = boxes(CUBE, {**CUBE, "transform": placed((0.0, 0.12, 0.0))})
+    scene = replace(scene, surfaces=(scene.surfaces[0], replace(scene.surfaces[1], collides=False)))
+    pair = Explicit(scene)
+    assert (pair.contact.particles.mass[pair.contact.particles.body == 1] == 0.0).all()
+    pair.velocity[pair.nodes(1)] = [0.0, -1.0, 0.0]
+    step = pair.wave_step(0.5)
+    while pair.time < 0.05:
+        assert not pair.step(step)
+    np.testing.assert_allclose(pair.velocity[pair.nodes(1)], np.tile([0.0, -1.0, 0.0], (64 + 27, 1)), atol=1e-9)
 
 
 # -- impacts -----------------------------------------------------------------------------------------------
