@@ -66,3 +66,16 @@ def test_a_broken_result_fails_its_check():
     result = example.Result(still.repeat(3, axis=0), example.np.array(centres), example.np.zeros(3))
     with pytest.raises(AssertionError):
         example.check(result)
+
+
+def test_bears_left_as_they_started_fail_their_check():
+    example = load(next(folder for folder in EXAMPLES if folder.name == "inversion"))
+    body, skin = example.jelly.soft_body(*example.jelly.bear(600), 0.05)
+    layout = example.build_layout(example.Scene(surfaces=(skin,), bodies=(body,)))
+    started = example.starts(layout.rest, 0.05)
+    left = {(name, 1.0): nodes for name, nodes in started.items()}
+    recovered = {key: layout.rest for key in left}
+    example.check(example.Result(layout, skin, started, hybrid=recovered, plain=left))
+    for hybrid, plain in ((left, left), (recovered, recovered)):
+        with pytest.raises(AssertionError):
+            example.check(example.Result(layout, skin, started, hybrid=hybrid, plain=plain))
