@@ -9,6 +9,7 @@ import warp as wp
 
 from plait.solver.contact.collision_particles import CollisionParticles
 from plait.solver.contact.contact_rows import ContactRows, Contacts
+from plait.solver.contact.drawn_together import drawn_together
 from plait.solver.contact.patches import SkinPatches
 from plait.solver.contact.skin_search_kernels import SLOTS, Skins, Touching, find_places
 from plait.solver.model import Model
@@ -52,7 +53,8 @@ class SkinContact:
         self._friction = told_friction(model.scene, particles.layout)
         self._restitution = np.array([body.restitution for body in bodies])
         self._thickness = np.array([model.scene.surfaces[body.surface].thickness for body in bodies])
-        self._skins = self._make_skins()
+        start = particles.evaluate_positions(state.arrays["tets/position"]).numpy()
+        self._skins = self._make_skins(start)
         device, slots = model.launcher.device, particles.count * SLOTS
         self._touching, self._before = _touching(slots, device), _touching(slots, device)
         state.arrays |= {f"contact/skin_{name}": getattr(self._touching, name) for name in REMEMBERED}
@@ -60,7 +62,8 @@ class SkinContact:
         self.too_fast = False
         self._begin_counts()
 
-    def _make_skins(self) -> Skins:
+    def _make_skins(self, start: np.ndarray) -> Skins:
+        """start: (count, 3) float64 [m], the particles where the shot starts."""
         particles, device = self._particles, self._launcher.device
 
         def hold(values: np.ndarray, dtype: type) -> wp.array:
@@ -80,6 +83,8 @@ class SkinContact:
         skins.body = hold(particles.body, wp.int32)
         skins.patch = self._patches.of_particle
         skins.cell, skins.apart_at_rest = self._cell, APART_AT_REST * self._cell
+        together = drawn_together(particles, start, APART_AT_REST * self._cell, self._launcher)
+        skins.together_offsets, skins.together = (hold(v, wp.int32) for v in together)
         # Built at rest, whenever the run starts, so that a resumed run finds the same.
         self._query_points = hold(particles.rest, wp.vec3f)
         self._meshes, ids = [], np.zeros(body_count, dtype=np.uint64)

@@ -50,6 +50,8 @@ class Skins:
     body: wp.array(dtype=wp.int32)
     patch: wp.array(dtype=wp.int32)
     mesh: wp.array(dtype=wp.uint64)  # search tree of each body's skin, at the substep's start
+    together_offsets: wp.array(dtype=wp.int32)  # (particle_count + 1,) bodies each is drawn together with
+    together: wp.array(dtype=wp.int32)
     cell: wp.float64  # [m]
     apart_at_rest: wp.float64  # [m] nearer parts of one body touch only where they face each other at rest
 
@@ -102,6 +104,15 @@ def belong_together(skins: Skins, q: int, triangle: int) -> bool:
     normal = skins.rest_normal[q]
     theirs = unit_normal(at_rest)
     return wp.dot(normal, between) <= ZERO or wp.dot(theirs, between) >= ZERO or wp.dot(normal, theirs) > FACING
+
+
+@wp.func
+def drawn_together(skins: Skins, q: int, body: int) -> bool:
+    """Whether a particle lies where its body and another overlap as drawn."""
+    for k in range(skins.together_offsets[q], skins.together_offsets[q + 1]):
+        if skins.together[k] == body:
+            return True
+    return False
 
 
 @wp.func
@@ -330,7 +341,8 @@ def find_places(
     size = farthest * wp.float64(1.00001) + wp.float64(1.0e-6) * wp.length(x)
     half = wp.vec3d(size, size, size)
     for b in range(body_count):
-        if box_distance(x, x, patches.body_lower[b], patches.body_upper[b]) <= size:
+        meets = box_distance(x, x, patches.body_lower[b], patches.body_upper[b]) <= size
+        if meets and not drawn_together(skins, q, b):
             query = wp.mesh_query_aabb(skins.mesh[b], to_float(x - half), to_float(x + half))
             face = wp.int32(0)
             while wp.mesh_query_aabb_next(query, face):

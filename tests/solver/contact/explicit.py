@@ -34,8 +34,10 @@ class Explicit:
         self.launcher = Launcher("cpu", threads)
         model = Model(scene, settings, self.launcher, 0.0)
         model.parts["kinematics"] = kinematics.build(model, self.state)
-        self.contact = BodyContact(model, self.state, self.layout) if contact else None
         self.position = np.concatenate([_placed(body) for body in self.layout.bodies])
+        # As the stage of bodies has it by when it makes contact.
+        self.state.arrays["tets/position"] = wp.array(self.position, dtype=wp.vec3d, device="cpu")
+        self.contact = BodyContact(model, self.state, self.layout) if contact else None
         self.velocity = np.zeros_like(self.position)
         self.impulse = np.zeros_like(self.position)
         self.time = 0.0
