@@ -112,13 +112,16 @@ def check_bear(shown: Shown, size: Size) -> None:
     width = np.abs(shown.bear[..., 0]).max(axis=1)
     times = np.arange(len(width)) / SHOT["RATE"]
     plates = np.array([SHOT["plate_face"](time) for time in times])
-    assert (width - plates).max() < 0.1 * size.edge, (width - plates).max()
-    assert shown.bear[..., 1].min() > -0.1 * size.edge
+    # Overlaps: half an edge while things are hit, a tenth of one where they rest.
+    beyond = np.maximum(width - plates, -shown.bear[..., 1].min(axis=1))
+    print(f"bear: beyond plates and floor by {beyond.max():.2f} cm at most, {beyond[-1]:.2f} cm in the end")
+    assert beyond.max() < 0.5 * size.edge
     if times[-1] < SHOT["OPENING"][1]:
         return
     left = deviation(shown.bear[0], shown.bear)
     print(f"bear: off its shape by {left.max():.2f} of its size while squeezed, by {left[-1]:.3f} in the end")
     assert left.max() > 0.15 and left[-1] < 0.05
+    assert beyond[-1] < 0.1 * size.edge
 
 
 def deviation(rest: np.ndarray, frames: np.ndarray) -> np.ndarray:
