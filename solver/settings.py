@@ -66,7 +66,7 @@ class GridSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     cell_size: Annotated[float, msgspec.Meta(ge=0.0, lt=FINITE)] = 0.0
     rule: Literal["pairwise", "paper"] = "pairwise"
     iterations: Count = 5
-    passes: Count = 2
+    passes: Count = 3
     cfl: Positive = 0.5
 
 

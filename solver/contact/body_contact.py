@@ -71,9 +71,10 @@ class BodyContact:
         self.cell_size = self.settings.cell_size or mean_cell_size(layout)
         self.particles = CollisionParticles(model.scene, layout, self.cell_size, model.launcher)
         device = model.launcher.device
-        self.impulse, self._velocity = (
-            wp.zeros(layout.node_count, dtype=wp.vec3d, device=device) for _ in range(2)
+        self.impulse, self._velocity, self._free_velocity = (
+            wp.zeros(layout.node_count, dtype=wp.vec3d, device=device) for _ in range(3)
         )
+        self._first_pass = True
         self._answers = Answers(layout, self.particles)
         self._at_once = wp.array(self._answers.at_once, dtype=wp.float64, device=device)
         if self.settings.rule == "paper":
@@ -95,6 +96,7 @@ class BodyContact:
             impulses in one point there, angular momentum is conserved. By default the start.
         """
         self._substep, base = substep, start if base is None else base
+        self._first_pass = True
         self._active = [part for part in self.parts if part.begin_substep(start, position, base)]
         return bool(self._active)
 
@@ -121,13 +123,15 @@ class BodyContact:
 
         displacement_per_velocity: [s] how far a node ends up further for each m/s added to its velocity.
         forecast: another elastic solve follows, with `impulse`. The impulses are then those that stop as much of
-            the bodies as that solve will move, not their skins alone.
+            the bodies as that solve will move, not their skins alone: by an estimate in a substep's first pass,
+            and then as the solve before has shown it. What is left for the last pass, which is no forecast, bends
+            skins alone; being far stiffer over a substep than heavy, they take up much energy with little impulse.
         """
+        if self._first_pass:
+            wp.copy(self._free_velocity, velocity)
         wp.copy(self._velocity, velocity)
-        inverse_mass = self._at_once
-        if forecast:
-            answer = self._answers.after_solve(displacement_per_velocity)
-            inverse_mass = wp.array(answer, dtype=wp.float64, device=self._launcher.device)
+        inverse_mass = self._forecast(velocity, displacement_per_velocity) if forecast else self._at_once
+        self._first_pass = False
         for part in self._active:
             part.begin_pass(position, velocity, displacement_per_velocity, inverse_mass)
         for _ in range(self.settings.iterations):
@@ -138,6 +142,15 @@ class BodyContact:
             part.add_impulses(self.impulse)
         inputs = [self._velocity, velocity, wp.float64(displacement_per_velocity)]
         self._launcher.launch(take_up, self.layout.node_count, inputs, [position])
+
+    def _forecast(self, velocity: wp.array, displacement_per_velocity: float) -> wp.array:
+        """Inverse masses before an elastic solve."""
+        if self._first_pass:
+            answer = self._answers.after_solve(displacement_per_velocity)
+        else:
+            change = velocity.numpy() - self._free_velocity.numpy()
+            answer = self._answers.as_shown(displacement_per_velocity, self.impulse.numpy(), change)
+        return wp.array(answer, dtype=wp.float64, device=self._launcher.device)
 
     def separate(self, position: wp.array) -> None:
         """Moves what still overlaps apart by a part of the overlap, velocities untouched."""

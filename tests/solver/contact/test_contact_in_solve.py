@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from plait.solver.settings import FleshSettings, GridSettings, Settings
 from plait.solver.step import Simulation
 
 from ..tets.lattices import placed
+from .soft_scenes import floor
 from .test_skin_contact import CUBE, boxes, turned
 
 RATE = 192
@@ -77,6 +80,25 @@ def test_oblique_impact_conserves(integrator, spin_error):
     tets = simulation.model.parts["tets"]
     kinetic = 0.5 * (tets.layout.mass[:, None] * tets.velocity.numpy() ** 2).sum()
     assert kinetic <= 0.5 * tets.layout.mass[tets.layout.nodes(1)].sum() * 1.05
+
+
+@pytest.mark.parametrize("integrator", ["backward-euler", "bdf2"])
+@pytest.mark.parametrize("young", [1e5, 1e6])
+def test_a_block_dropped_on_one_that_stands_on_a_floor(integrator, young):
+    """Corner down, and heavier: contact does no work, so energy never rises by more than a hundredth of it."""
+    standing = {**CUBE, "cells": 2, "youngs_modulus": young, "transform": placed((0.0, 0.051, 0.0))}
+    dropped = {**standing, "density": 3000.0, "transform": placed((0.02, 0.2, 0.01), turned((1, 0, 2), 40.0))}
+    scene = boxes(standing, dropped, gravity=9.81)
+    scene = replace(scene, surfaces=(*scene.surfaces, floor()))
+    simulation = simulate(scene, integrator)
+    set_velocity(simulation, 1, np.array([0.2, -3.0, 0.1]))
+    contacts, energies = 0, []
+    for frame in advance(simulation, 60):
+        contacts += frame["tets"]["skin_contacts"]
+        energies.append(sum(frame["tets"][f"{kind}_energy"] for kind in ("kinetic", "elastic", "potential")))
+    rise = energies - np.minimum.accumulate(energies)
+    assert contacts > 0
+    assert rise.max() <= 0.01 * energies[0]
 
 
 @pytest.mark.parametrize("young", [1e5, 1e7])
