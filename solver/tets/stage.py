@@ -161,6 +161,7 @@ class TetStage:
                 self._take_contact_impulses(contact.impulse, substep, scheme)
                 stands = self._solve() and stands
             contact.resolve(start, motion.position, motion.velocity, scheme.reach)
+            self._spare_skins(contact.last_change(motion.velocity), scheme.reach)
             contact.separate(motion.position)
             self._take_contact_impulses(contact.impulse, substep, scheme)
             in_contact = self._bodies
@@ -171,6 +172,30 @@ class TetStage:
         if in_reach and obstacles.leave(motion.position) > DEEPEST * contact.cell_size:
             stands = False
         return stands
+
+    def _spare_skins(self, change: np.ndarray, reach: float) -> None:
+        """Of the way that contact's last pass moved skins, takes back what would bend them too much.
+
+        What velocities lose by it is at least the energy of their change, as with any projection: flesh may take
+        up so much energy and no more, so that the pass adds none. Stiff flesh would take up far more. Where its
+        skin then overlaps another, they part in the position pass.
+
+        change: (node_count, 3) [m/s] in that pass, which moved nodes by `reach` [s] times as much.
+        """
+        for b, body in enumerate(self._bodies):
+            nodes = self.layout.nodes(b)
+            if body.newton is None or not change[nodes].any():
+                continue
+            position, there = self._motion.position[nodes], self._motion.position[nodes].numpy().copy()
+            way, kinetic = (
+                reach * change[nodes],
+                0.5 * self.layout.mass[nodes] @ np.square(change[nodes]).sum(axis=1),
+            )
+            taken_up = body.newton.elastic_energy()
+            position.assign(there - way)
+            taken_up -= body.newton.elastic_energy()
+            part = np.sqrt(kinetic / taken_up) if taken_up > kinetic else 1.0
+            position.assign(there - (1.0 - part) * way)
 
     def end_frame(self, state: State, frame: Interval) -> dict[str, Any]:
         """Iterations and energies of the frame; raises `Diverged` for a node that is not finite."""

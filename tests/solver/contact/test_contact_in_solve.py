@@ -83,7 +83,7 @@ def test_oblique_impact_conserves(integrator, spin_error):
 
 
 @pytest.mark.parametrize("integrator", ["backward-euler", "bdf2"])
-@pytest.mark.parametrize("young", [1e5, 1e6])
+@pytest.mark.parametrize("young", [1e5, 1e7])
 def test_a_block_dropped_on_one_that_stands_on_a_floor(integrator, young):
     """Corner down, and heavier: contact does no work, so energy never rises by more than a hundredth of it."""
     standing = {**CUBE, "cells": 2, "youngs_modulus": young, "transform": placed((0.0, 0.051, 0.0))}
