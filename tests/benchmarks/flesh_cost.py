@@ -1,6 +1,8 @@
 """What a step of elastic bodies costs, how that grows with the number of tets, and what an error of 1 % costs.
 
-    python tests/benchmarks/flesh_cost.py [cost] [growth] [error]      default: all
+    python tests/benchmarks/flesh_cost.py [cost] [growth] [error] [large]      default: all
+
+`large` is `error` with twenty times as many tets, six minutes, most of them the peers'.
 
 A bar clamped at one end starts to sway under gravity; fixed corotated, E = 1 MPa, nu = .3, dt = 1/96 s, tolerance
 as in production. Its tets are those of a body-centred lattice, 4:1:1. Newton's solvers take the same tets in the
@@ -32,6 +34,7 @@ LINEAR_ITERATIONS = 20
 # The bar of the comparison in error, its end time [s] and how often it is looked at until then.
 ERROR_CELLS, ERROR_TIME, LOOKS = (12, 3, 3), 0.125, 4
 ERROR_LENGTH = 0.6
+LARGE_CELLS, LARGE_FINEST = (32, 8, 8), 1536
 LEVEL = 0.01
 # Steps a second of our own ladder, and of its reference.
 LADDER, FINEST = (48, 96, 192, 384, 768), 6144
@@ -129,12 +132,12 @@ def _run(scene: Scene, steps_a_second: int, tolerance: float) -> tuple[np.ndarra
     return np.array(looks), seconds
 
 
-def error() -> dict[str, Any]:
+def error(cells: tuple[int, int, int] = ERROR_CELLS, finest: int = FINEST) -> dict[str, Any]:
     """Seconds to 1 % of error in time, each solver against its own converged motion of the same tets."""
-    nodes, tets = bar_lattice(ERROR_CELLS, ERROR_LENGTH)
+    nodes, tets = bar_lattice(cells, ERROR_LENGTH)
     scene = _swaying_bar(nodes, tets)
     settings = {"modulus": MODULUS, "ratio": RATIO, "density": DENSITY, "time": ERROR_TIME, "looks": LOOKS}
-    exact, _ = _run(scene, FINEST, tolerance=1e-6)
+    exact, _ = _run(scene, finest, tolerance=1e-6)
     rows = []
     for steps in LADDER:
         found, seconds = min((_run(scene, steps, FleshSettings().tolerance) for _ in range(3)), key=lambda r: r[1])
@@ -145,8 +148,13 @@ def error() -> dict[str, Any]:
     return {"tets": len(tets), "level": LEVEL, "solvers": solvers | (peers or {})}
 
 
+def large() -> dict[str, Any]:
+    """`error` at a size where no solver waits for its launches."""
+    return error(LARGE_CELLS, LARGE_FINEST)
+
+
 def main() -> None:
-    measurements = {"cost": cost, "growth": growth, "error": error}
+    measurements = {"cost": cost, "growth": growth, "error": error, "large": large}
     for name in sys.argv[1:] or measurements:
         print(name, measurements[name]())
 
