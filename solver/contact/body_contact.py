@@ -143,9 +143,10 @@ class BodyContact:
         inputs = [self._velocity, velocity, wp.float64(displacement_per_velocity)]
         self._launcher.launch(take_up, self.layout.node_count, inputs, [position])
 
-    def last_change(self, velocity: wp.array) -> np.ndarray:
-        """(node_count, 3) [m/s], what `resolve` has just changed `velocity` by."""
-        return velocity.numpy() - self._velocity.numpy()
+    def changes(self, velocity: wp.array) -> tuple[np.ndarray, np.ndarray]:
+        """(node_count, 3) [m/s] each: what `velocity` was changed by in the last `resolve`, and in the substep."""
+        after = velocity.numpy()
+        return after - self._velocity.numpy(), after - self._free_velocity.numpy()
 
     def _forecast(self, velocity: wp.array, displacement_per_velocity: float) -> wp.array:
         """Inverse masses before an elastic solve."""

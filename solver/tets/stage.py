@@ -161,7 +161,7 @@ class TetStage:
                 self._take_contact_impulses(contact.impulse, substep, scheme)
                 stands = self._solve() and stands
             contact.resolve(start, motion.position, motion.velocity, scheme.reach)
-            self._spare_skins(contact.last_change(motion.velocity), scheme.reach)
+            self._spare_skins(*contact.changes(motion.velocity), scheme.reach)
             contact.separate(motion.position)
             self._take_contact_impulses(contact.impulse, substep, scheme)
             in_contact = self._bodies
@@ -173,14 +173,16 @@ class TetStage:
             stands = False
         return stands
 
-    def _spare_skins(self, change: np.ndarray, reach: float) -> None:
+    def _spare_skins(self, change: np.ndarray, in_all: np.ndarray, reach: float) -> None:
         """Of the way that contact's last pass moved skins, takes back what would bend them too much.
 
-        What velocities lose by it is at least the energy of their change, as with any projection: flesh may take
-        up so much energy and no more, so that the pass adds none. Stiff flesh would take up far more. Where its
-        skin then overlaps another, they part in the position pass.
+        What velocities lose by contact is at least the energy of their change, as with any projection: flesh may
+        take up so much energy and no more. Stiff flesh would take up far more. Where its skin then overlaps
+        another, they part in the position pass. Only what is quadratic in the way counts: what is linear is
+        balanced by inertia, where the elastic solve ended.
 
         change: (node_count, 3) [m/s] in that pass, which moved nodes by `reach` [s] times as much.
+        in_all: (node_count, 3) [m/s] in the whole substep.
         """
         for b, body in enumerate(self._bodies):
             nodes = self.layout.nodes(b)
@@ -189,11 +191,13 @@ class TetStage:
             position, there = self._motion.position[nodes], self._motion.position[nodes].numpy().copy()
             way, kinetic = (
                 reach * change[nodes],
-                0.5 * self.layout.mass[nodes] @ np.square(change[nodes]).sum(axis=1),
+                0.5 * self.layout.mass[nodes] @ np.square(in_all[nodes]).sum(axis=1),
             )
-            taken_up = body.newton.elastic_energy()
-            position.assign(there - way)
-            taken_up -= body.newton.elastic_energy()
+            energies = []
+            for k in range(3):
+                position.assign(there - k * way)
+                energies.append(body.newton.elastic_energy())
+            taken_up = 0.5 * (energies[0] - 2.0 * energies[1] + energies[2])
             part = np.sqrt(kinetic / taken_up) if taken_up > kinetic else 1.0
             position.assign(there - (1.0 - part) * way)
 
