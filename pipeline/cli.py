@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 from typing import Any, NoReturn
@@ -12,6 +13,8 @@ from plait.pipeline.errors import EXIT_DIFFERS, EXIT_DONE, EXIT_FAILED, EXIT_USA
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs one command; returns its exit code (see README). One line on stderr tells what went wrong."""
+    # numpy's own threads, where it is not loaded yet: between calls they wait busily beside those of --threads.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = _parser().parse_args(arguments)
     try:
         return options.run(options)

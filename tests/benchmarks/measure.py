@@ -1,6 +1,8 @@
 """Runs every benchmark and writes `results/*.json` and the tables of the README, `results/tables.md`.
 
-    python tests/benchmarks/measure.py [NAME ...]     of MEASUREMENTS below; default: all, fifteen minutes
+    OPENBLAS_NUM_THREADS=1 python tests/benchmarks/measure.py [NAME ...]
+
+NAME is one of MEASUREMENTS below; default: all, twenty minutes. numpy's threads would wait busily beside ours.
 
 Run it on a machine that does nothing else. Figures of different machines do not compare; ratios within one run do.
 """
