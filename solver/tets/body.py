@@ -179,17 +179,18 @@ class BodySolver:
         self.newton.obstacles, self._meets = obstacles, True
         return self.solve()
 
-    def wake(self, substep: Interval, scheme: Scheme) -> None:
-        """Steps after all, for contact has touched a body that was skipped, and moved it since `begin`."""
+    def wake(self, substep: Interval, scheme: Scheme) -> bool:
+        """Begins a step after all if contact has touched a body that was skipped; whether it must be solved."""
         touched = self._motion.contact_impulse[self._nodes].numpy().any()
         if not (self._skipped and touched):
-            return
+            return False
         self._skipped = False
         impulse = wp.clone(self._motion.contact_impulse[self._nodes])
         wp.copy(self._motion.position[self._nodes], self._motion.position_before[self._nodes])
         self._motion.velocity[self._nodes].zero_()
         self._begin(substep, scheme)
         wp.copy(self._motion.contact_impulse[self._nodes], impulse)
+        return True
 
     def finish(self) -> None:
         """Makes what contact did part of the past."""

@@ -130,10 +130,10 @@ class TetStage:
             if self._contact.obstacles is not None:
                 self._contact.obstacles.retract()
 
-    def _take_contact_impulses(self, impulse: wp.array, substep: Interval, scheme: Scheme) -> None:
+    def _take_contact_impulses(self, impulse: wp.array, substep: Interval, scheme: Scheme) -> list[BodySolver]:
+        """Returns the bodies that this woke."""
         wp.copy(self._motion.contact_impulse, impulse)
-        for body in self._bodies:
-            body.wake(substep, scheme)
+        return [body for body in self._bodies if body.wake(substep, scheme)]
 
     def _solve(self) -> bool:
         return all([body.solve() for body in self._bodies])
@@ -163,7 +163,9 @@ class TetStage:
             contact.resolve(start, motion.position, motion.velocity, scheme.reach)
             self._spare_skins(*contact.changes(motion.velocity), scheme.reach)
             contact.separate(motion.position)
-            self._take_contact_impulses(contact.impulse, substep, scheme)
+            # A body that only the last pass has touched has not felt it yet.
+            woken = self._take_contact_impulses(contact.impulse, substep, scheme)
+            stands = all([body.solve() for body in woken]) and stands
             in_contact = self._bodies
         else:
             in_contact = [body for body in self._bodies if body.struck]

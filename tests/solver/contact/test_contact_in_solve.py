@@ -82,6 +82,22 @@ def test_oblique_impact_conserves(integrator, spin_error):
     assert kinetic <= 0.5 * tets.layout.mass[tets.layout.nodes(1)].sum() * 1.05
 
 
+@pytest.mark.parametrize("passes", [1, 2, 3])
+def test_a_sleeping_body_feels_what_strikes_it(passes):
+    """Also where the last pass of contact is the first to touch it: linear momentum to 1e-6."""
+    scene = boxes(CUBE, {**CUBE, "transform": placed((0.0, 0.105, 0.0))})
+    simulation = simulate(scene, "backward-euler", passes=passes)
+    asleep = advance(simulation, 3)[-1]["tets"]["asleep"]
+    set_velocity(simulation, 1, np.array([0.0, -1.0, 0.0]))
+    simulation.state.arrays["tets/asleep"].assign(np.array([1, 0], dtype=np.int32))
+    momentum, _ = momenta(simulation)
+    contacts = sum(frame["tets"]["skin_contacts"] for frame in advance(simulation, 12))
+    after, _ = momenta(simulation)
+    assert asleep == 2 and contacts > 0
+    assert np.abs(after - momentum).max() <= 1e-6 * np.linalg.norm(momentum)
+    assert np.abs(simulation.model.parts["tets"].node_velocities(0)).max() > 0.1
+
+
 @pytest.mark.parametrize("integrator", ["backward-euler", "bdf2"])
 @pytest.mark.parametrize("young", [1e5, 1e7])
 def test_a_block_dropped_on_one_that_stands_on_a_floor(integrator, young):
