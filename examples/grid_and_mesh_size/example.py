@@ -137,10 +137,10 @@ def meet(edge: float, cell: float) -> Meeting:
     velocity[nodes[0], 0], velocity[nodes[1], 0] = SPEED, -SPEED
     for name in ("velocity", "velocity_before"):
         simulation.state.arrays[f"tets/{name}"].assign(velocity)
-    step = 2.0 * BAR[0] / SOUND / 100.0
+    step = 2.0 * BAR[0] / SOUND / 200.0
     speeds = []
     energies = []
-    for frame in range(1, 201):
+    for frame in range(1, 401):
         metrics = simulation.advance_frame(frame * step, 1)["tets"]
         speeds.append([np.average(stage.node_velocities(b)[:, 0], weights=mass[b]) for b in (0, 1)])
         energies.append(metrics["kinetic_energy"] + metrics["elastic_energy"])
@@ -151,7 +151,7 @@ def meet(edge: float, cell: float) -> Meeting:
     inside = np.flatnonzero((together > 0.02) & (together < 0.98))
     return Meeting(
         rebound=float((speeds[-1, 1] - speeds[-1, 0]) / (2.0 * SPEED)),
-        duration=(inside[-1] - inside[0] + 1) / 100.0,
+        duration=(inside[-1] - inside[0] + 1) / 200.0,
         momentum=float(abs(speeds[-1].sum()) / SPEED),
         energy=float(max(energies) / energies[0]),
     )
