@@ -109,7 +109,7 @@ class SkinContact:
             return False
         self._searched = True
         self._find()
-        contacts = self._contacts(base.numpy())
+        contacts = self._contacts(start.numpy(), base.numpy())
         if contacts is None:
             return False
         self._rows.build(contacts)
@@ -136,7 +136,7 @@ class SkinContact:
         ]
         self._launcher.launch(find_places, particles.count, inputs, [self._touching], work_per_item=50)
 
-    def _contacts(self, base: np.ndarray) -> Contacts | None:
+    def _contacts(self, node_start: np.ndarray, base: np.ndarray) -> Contacts | None:
         """Rows of the places found that may close within the substep; None without any."""
         particles, found = self._particles, np.flatnonzero(self._touching.triangle.numpy() >= 0)
         q = found // SLOTS
@@ -150,6 +150,7 @@ class SkinContact:
         kept = self._thickness[a] + self._thickness[b] + KEPT_GAP * self._cell
         self.too_fast = bool(((closing < kept) & (np.linalg.norm(moved, axis=1) > self._cfl * self._cell)).any())
         near = (closing < kept + LOOK_AHEAD * self._cell) & self._gives_way(q, corners, weights)
+        near &= (a != b) | ~(self._turned(q, node_start) | self._turned(corners, node_start).any(axis=1))
         if not near.any():
             return None
         q, corners, weights, normal, gap, a, b, kept = (
@@ -176,6 +177,14 @@ class SkinContact:
             np.maximum(self._restitution[a], self._restitution[b]),
             particles.mass[q],
         )
+
+    def _turned(self, particles: np.ndarray, node_start: np.ndarray) -> np.ndarray:
+        """Whether the particles lie in tets that are inside out: a skin there has no outside to be met from.
+
+        What a body's own skin meets there is the elastic solve's to bring back, which pushing apart would hinder.
+        """
+        corners = node_start[self._particles.nodes[particles]]
+        return np.linalg.det(corners[..., 1:, :] - corners[..., :1, :]) <= 0.0
 
     def _gives_way(self, q: np.ndarray, corners: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """(n,) whether a particle or the place it touches can be moved without its nodes moving far more.
