@@ -197,6 +197,23 @@ class BodySolver:
         if self._skipped:
             return
         self._over_nodes(self._kernels.forget if self.struck else self._kernels.absorb_contact)
+        pushed_by_obstacles = self.newton is not None and self.newton.obstacles is not None
+        if self._whole is not None and not self.struck and not pushed_by_obstacles:
+            self._shift_past()
+
+    def _shift_past(self) -> None:
+        """Takes back the way that an impulse shifts a free body by in a multistep scheme.
+
+        Its velocity changes at once, but x = base + gamma h v has only gamma h of it: across the way of what it
+        met, the rest would be angular momentum out of nothing. What rests has as much from gravity, and keeps it.
+        """
+        late = self._step.length - self._step.reach
+        impulse = self._motion.contact_impulse[self._nodes].numpy()
+        if late <= 0.0 or not impulse.any():
+            return
+        change = impulse.sum(axis=0) / self._layout.mass[self._nodes].sum()
+        before = self._motion.position_before[self._nodes]
+        before.assign(before.numpy() - late * (change + self._step.length * np.array(self._step.gravity)))
 
     def retract(self) -> None:
         """All as it was before `begin`, bit for bit."""
