@@ -146,7 +146,7 @@ def meet(edge: float, cell: float) -> Meeting:
         energies.append(metrics["kinetic_energy"] + metrics["elastic_energy"])
     simulation.close()
     speeds = np.array(speeds)
-    # From when a fiftieth of the exchange has happened until as much is still to come: .96 of it, at a steady force.
+    # From when a fiftieth of the exchange has happened until as much is to come: .96 of it, at a steady force.
     together = (speeds[0, 0] - speeds[:, 0]) / (speeds[0, 0] - speeds[-1, 0])
     inside = np.flatnonzero((together > 0.02) & (together < 0.98))
     return Meeting(
