@@ -9,6 +9,11 @@ ACCURACY = wp.constant(2.0)
 INSIDE = wp.constant(0.5)
 
 
+@wp.func
+def is_inside(mesh: wp.uint64, place: wp.vec3) -> wp.bool:
+    return wp.mesh_query_point_sign_winding_number(mesh, place, FAR, ACCURACY, INSIDE).sign < 0.0
+
+
 @wp.kernel(enable_backward=False)
 def signed_distance(
     mesh: wp.uint64,
@@ -45,9 +50,7 @@ def length_inside(
     while travelled < length:
         query = wp.mesh_query_ray(mesh, starts[i] + travelled * direction, direction, length - travelled)
         end = wp.where(query.result, travelled + query.t, length)
-        place = starts[i] + 0.5 * (start + end) * direction
-        between = wp.mesh_query_point_sign_winding_number(mesh, place, FAR, ACCURACY, INSIDE)
-        if between.sign < 0.0:
+        if is_inside(mesh, starts[i] + 0.5 * (start + end) * direction):
             total += end - start
             if end - start > longest:
                 longest = end - start
@@ -119,9 +122,7 @@ def stays_inside(
         query = wp.mesh_query_ray(mesh, starts[i] + travelled * direction, direction, length - travelled)
         if query.result:
             travelled += query.t + step
-            place = starts[i] + travelled * direction
-            beyond = wp.mesh_query_point_sign_winding_number(mesh, place, FAR, ACCURACY, INSIDE)
-            inside = beyond.sign < 0.0 or travelled >= length
+            inside = is_inside(mesh, starts[i] + travelled * direction) or travelled >= length
         else:
             travelled = length
     open_out[i] = inside

@@ -49,11 +49,12 @@ class Push:
 
 
 @wp.func
-def push(planes: ObstaclePlanes, slot: int, bound: wp.float64, k: wp.float64, y: wp.vec3d) -> Push:
-    """The contact of a point at y; `bound` [N] of its friction."""
+def push(planes: ObstaclePlanes, slot: int, k: wp.float64, y: wp.vec3d) -> Push:
+    """The contact of a point at y."""
     out = Push()
     n = planes.normal[slot]
     held = planes.pressure[slot]
+    bound = planes.friction[slot] * held  # [N] of friction
     out.pressure = wp.max(held - k * (wp.dot(n, y) - planes.offset[slot] - planes.rebound[slot]), ZERO)
     out.energy = HALF * (out.pressure * out.pressure - held * held) / k
     nn = wp.outer(n, n)
@@ -102,7 +103,7 @@ def evaluate_pushes(
     for k in range(SLOTS):
         slot = q * SLOTS + k
         if planes.surface[slot] >= 0:
-            one = push(planes, slot, planes.friction[slot] * planes.pressure[slot], held, y)
+            one = push(planes, slot, held, y)
             energy += one.energy
             force += one.pressure * planes.normal[slot] + one.traction
             total += one.stiffness
@@ -136,7 +137,7 @@ def hold_forces(
     for k in range(SLOTS):
         slot = q * SLOTS + k
         if planes.surface[slot] >= 0:
-            one = push(planes, slot, planes.friction[slot] * planes.pressure[slot], held, y)
+            one = push(planes, slot, held, y)
             change = wp.max(change, wp.abs(one.pressure - planes.pressure[slot]))
             change = wp.max(change, wp.length(one.traction - planes.traction[slot]))
             pressure = wp.max(pressure, one.pressure)

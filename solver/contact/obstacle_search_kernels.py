@@ -15,14 +15,13 @@ from plait.solver.contact.geometry_kernels import (
     unit_normal,
 )
 from plait.solver.contact.meeting_kernels import HALF, TWO, Bodies, Near, box_gap, is_rim, to_float
+from plait.solver.contact.plane_slots import find_slot
 from plait.solver.contact.search_kernels import Contact, Seen, find_contact
 
 wp.set_module_options({"enable_backward": False})
 
 # Planes of a point: a floor and two walls.
 SLOTS = wp.constant(3)
-# Planes of one surface whose normals differ less (cosine) are the same contact, refined.
-SAME = wp.constant(wp.float64(0.9995))
 # What was torn has contact again when it is stretched no more than this.
 LOOSE = wp.constant(wp.float64(1.5))
 # A plane found anew carries on the forces of one of the same surface that differs less (cosine).
@@ -199,34 +198,13 @@ def put(
     friction: wp.float64,
     tolerance: wp.float64,
 ) -> int:
-    """Puts a contact in force; its place, or -1 where the point keeps it anyway and has a plane of that surface.
-
-    It replaces a plane of the same surface and direction, else takes a free place, else that with most room.
-    """
+    """Puts a contact in force; its place, or -1 where the point keeps it and has a plane of that surface."""
     offset = wp.dot(contact.normal, contact.point) + contact.target
-    slot = wp.int32(-1)
-    free = wp.int32(-1)
-    known = wp.bool(False)
-    loosest = q * SLOTS
-    most_room = wp.float64(-1.0e30)
-    for k in range(SLOTS):
-        at = q * SLOTS + k
-        if planes.surface[at] < 0:
-            if free < 0:
-                free = at
-        else:
-            if planes.surface[at] == surface:
-                known = True
-                if wp.dot(planes.normal[at], contact.normal) > SAME:
-                    slot = at
-            room = wp.dot(planes.normal[at], end) - planes.offset[at]
-            if room > most_room:
-                most_room = room
-                loosest = at
-    if slot < 0:
-        if known and offset - wp.dot(contact.normal, end) <= tolerance:
+    found = find_slot(q * SLOTS, SLOTS, planes.surface, planes.normal, planes.offset, surface, contact.normal, end)
+    slot = found.at
+    if not found.refines:
+        if found.known and offset - wp.dot(contact.normal, end) <= tolerance:
             return -1
-        slot = wp.where(free >= 0, free, loosest)
         planes.pressure[slot] = ZERO
         planes.traction[slot] = wp.vec3d()
         planes.rebound[slot] = ZERO

@@ -48,18 +48,22 @@ class RowState:
 
 
 @wp.func
-def between(rows: Rows, c: int, of_nodes: wp.array(dtype=wp.vec3d)) -> wp.vec3d:
+def between(
+    rows: Rows, weight: wp.array(dtype=wp.float64), c: int, of_nodes: wp.array(dtype=wp.vec3d)
+) -> wp.vec3d:
+    """sum_k w_ck y_k, by one of the weights of the rows."""
     total = wp.vec3d()
     for k in range(rows.offsets[c], rows.offsets[c + 1]):
-        total += rows.weight[k] * of_nodes[rows.node[k]]
+        total += weight[k] * of_nodes[rows.node[k]]
     return total
 
 
 @wp.func
-def between_in_one_point(rows: Rows, c: int, of_nodes: wp.array(dtype=wp.vec3d)) -> wp.vec3d:
+def sum_on_node(rows: Rows, n: int, of_rows: wp.array(dtype=wp.vec3d)) -> wp.vec3d:
+    """sum_c W_cn y_c of a touched node, its rows in fixed order."""
     total = wp.vec3d()
-    for k in range(rows.offsets[c], rows.offsets[c + 1]):
-        total += rows.common_weight[k] * of_nodes[rows.node[k]]
+    for k in range(rows.node_offsets[n], rows.node_offsets[n + 1]):
+        total += rows.node_weight[k] * of_rows[rows.node_row[k]]
     return total
 
 
@@ -105,8 +109,8 @@ def begin_rows(
     """Gap and velocity of each row where an elastic solve took it; one row an item."""
     c = first + wp.tid()
     n = rows.normal[c]
-    u = wp.dot(n, between(rows, c, velocity))
-    state.gap[c] = wp.dot(n, between(rows, c, position))
+    u = wp.dot(n, between(rows, rows.weight, c, velocity))
+    state.gap[c] = wp.dot(n, between(rows, rows.weight, c, position))
     state.velocity[c] = u
     if first_pass == 1:
         state.approach[c] = u
@@ -127,8 +131,8 @@ def sweep_rows(
     """
     c = first + wp.tid()
     n = rows.normal[c]
-    un = wp.dot(n, between(rows, c, velocity))
-    slip = between_in_one_point(rows, c, velocity)
+    un = wp.dot(n, between(rows, rows.weight, c, velocity))
+    slip = between(rows, rows.common_weight, c, velocity)
     lack = (rows.target[c] - state.gap[c]) / displacement_per_velocity - (un - state.velocity[c])
     if rows.target[c] > state.gap[c] and rows.restitution[c] > ZERO:
         lack = wp.max(lack, -rows.restitution[c] * state.approach[c] - un)
@@ -152,24 +156,18 @@ def spread_impulses(
     state: RowState,
     velocity: wp.array(dtype=wp.vec3d),
 ):
-    """v_k += sum_c W_ck J_c / m_k; one touched node an item, its rows in fixed order."""
+    """v_k += sum_c W_ck J_c / m_k; one touched node an item."""
     n = first + wp.tid()
-    total = wp.vec3d()
-    for k in range(rows.node_offsets[n], rows.node_offsets[n + 1]):
-        total += rows.node_weight[k] * state.change[rows.node_row[k]]
     node = rows.nodes[n]
-    velocity[node] = velocity[node] + rows.inverse_mass[node] * total
+    velocity[node] = velocity[node] + rows.inverse_mass[node] * sum_on_node(rows, n, state.change)
 
 
 @wp.kernel
 def add_impulses(first: int, rows: Rows, state: RowState, on_nodes: wp.array(dtype=wp.vec3d)):
     """J_k += sum_c W_ck J_c; one touched node an item."""
     n = first + wp.tid()
-    total = wp.vec3d()
-    for k in range(rows.node_offsets[n], rows.node_offsets[n + 1]):
-        total += rows.node_weight[k] * state.impulse[rows.node_row[k]]
     node = rows.nodes[n]
-    on_nodes[node] = on_nodes[node] + total
+    on_nodes[node] = on_nodes[node] + sum_on_node(rows, n, state.impulse)
 
 
 @wp.kernel
@@ -184,6 +182,6 @@ def part_rows(
     """What moves a row towards the gap it wants by `factor` of what it lacks, times mass; one row an item."""
     c = first + wp.tid()
     n = rows.normal[c]
-    gap = wp.dot(n, between(rows, c, position))
+    gap = wp.dot(n, between(rows, rows.weight, c, position))
     state.gap[c] = gap
     state.change[c] = wp.max(wanted[c] - gap, ZERO) * factor / state.compliance[c] * n

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,47 +51,78 @@ def lay_lattice(points: np.ndarray, triangles: np.ndarray, spacing: float) -> Sk
     edge_of = edge_of.reshape(-1, 3)
     length = np.linalg.norm(points[edges[:, 1]] - points[edges[:, 0]], axis=1)
     divisions = np.clip(np.ceil(length / spacing - 1e-9), 1, MAX_DIVISIONS).astype(np.int64)
-    corners, weights = [np.tile(np.arange(len(points))[:, None], (1, 3))], [_unit(len(points))]
-    owners, lies_on, shares = [triangles.ravel()], [np.repeat(np.arange(len(triangles)), 3)], []
     inside = divisions[edge_of].max(axis=1)
     corner_share, edge_share, inside_share = _shares(inside, divisions[edge_of])
-    shares.append(corner_share.ravel())
-    count = len(points)
+    lies_on = np.repeat(np.arange(len(triangles)), 3)
+    own = np.tile(np.arange(len(points))[:, None], (1, 3))
+    parts = [_Part(own, _unit(len(points)), triangles.ravel(), lies_on, corner_share.ravel())]
+    parts += _on_edges(len(points), edges, edge_of, divisions, edge_share)
+    parts += _within(sum(len(part.corner) for part in parts), triangles, inside, inside_share)
+    corner, weight, owner, triangle, share = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    order = np.lexsort((triangle, owner))
+    offsets = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=len(corner)))])
+    x = points[triangles]
+    triangle_area = 0.5 * np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1)
+    return SkinLattice(
+        corner.astype(np.int32),
+        weight,
+        np.bincount(owner, share * triangle_area[triangle], minlength=len(corner)),
+        offsets.astype(np.int32),
+        triangle[order].astype(np.int32),
+    )
+
+
+class _Part(NamedTuple):
+    """Some particles, and on which triangles they lie.
+
+    corner, weight: as in `SkinLattice`.  owner, triangle, share: pairs of a particle, by its number among all, and
+    a triangle it lies on, and the part of that one's area that it gets for it.
+    """
+
+    corner: np.ndarray
+    weight: np.ndarray
+    owner: np.ndarray
+    triangle: np.ndarray
+    share: np.ndarray
+
+
+def _on_edges(
+    count: int, edges: np.ndarray, edge_of: np.ndarray, divisions: np.ndarray, share: np.ndarray
+) -> Iterator[_Part]:
+    """The particles on edges, numbered from `count` on.
+
+    edges: (edge_count, 2) points.  edge_of, share: (triangle_count, 3) by side.  divisions: (edge_count,).
+    """
     for n in np.unique(divisions[divisions > 1]):
         chosen = np.flatnonzero(divisions == n)
         first = np.full(len(edges), -1)
         first[chosen] = count + np.arange(len(chosen)) * (n - 1)
         part = np.tile(np.arange(1, n) / n, len(chosen))
         ends = np.repeat(edges[chosen], n - 1, axis=0)
-        corners.append(np.stack([ends[:, 0], ends[:, 1], ends[:, 1]], axis=1))
-        weights.append(np.stack([1.0 - part, part, np.zeros_like(part)], axis=1))
         at, side = np.nonzero(first[edge_of] >= 0)
-        owners.append((first[edge_of[at, side]][:, None] + np.arange(n - 1)).ravel())
-        lies_on.append(np.repeat(at, n - 1))
-        shares.append(np.repeat(edge_share[at, side], n - 1))
+        yield _Part(
+            np.stack([ends[:, 0], ends[:, 1], ends[:, 1]], axis=1),
+            np.stack([1.0 - part, part, np.zeros_like(part)], axis=1),
+            (first[edge_of[at, side]][:, None] + np.arange(n - 1)).ravel(),
+            np.repeat(at, n - 1),
+            np.repeat(share[at, side], n - 1),
+        )
         count += len(part)
+
+
+def _within(count: int, triangles: np.ndarray, inside: np.ndarray, share: np.ndarray) -> Iterator[_Part]:
+    """The particles within triangles, numbered from `count` on; inside, share: (triangle_count,)."""
     for n in np.unique(inside[inside > 2]):
         chosen = np.flatnonzero(inside == n)
         steps = np.array([(i, j, n - i - j) for i in range(1, n) for j in range(1, n - i)]) / n
-        corners.append(np.repeat(triangles[chosen], len(steps), axis=0))
-        weights.append(np.tile(steps, (len(chosen), 1)))
-        owners.append(count + np.arange(len(chosen) * len(steps)))
-        lies_on.append(np.repeat(chosen, len(steps)))
-        shares.append(np.repeat(inside_share[chosen], len(steps)))
+        yield _Part(
+            np.repeat(triangles[chosen], len(steps), axis=0),
+            np.tile(steps, (len(chosen), 1)),
+            count + np.arange(len(chosen) * len(steps)),
+            np.repeat(chosen, len(steps)),
+            np.repeat(share[chosen], len(steps)),
+        )
         count += len(chosen) * len(steps)
-    owner, triangle, share = (np.concatenate(parts) for parts in (owners, lies_on, shares))
-    order = np.lexsort((triangle, owner))
-    offsets = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=count))])
-    x = points[triangles]
-    triangle_area = 0.5 * np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1)
-    area = np.bincount(owner, share * triangle_area[triangle], minlength=count)
-    return SkinLattice(
-        np.concatenate(corners).astype(np.int32),
-        np.concatenate(weights),
-        area,
-        offsets.astype(np.int32),
-        triangle[order].astype(np.int32),
-    )
 
 
 def _unit(count: int) -> np.ndarray:

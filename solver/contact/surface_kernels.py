@@ -8,12 +8,12 @@ from plait.solver.contact.geometry_kernels import ZERO
 from plait.solver.contact.meeting_kernels import (
     HALF,
     PRESCRIBED,
-    UNBOUNDED,
     Bodies,
     ContactNodes,
     meet,
     strand_box,
 )
+from plait.solver.contact.plane_slots import find_slot
 from plait.solver.contact.planes import PLANES_A_NODE, ContactPlanes
 from plait.solver.contact.search_kernels import Contact, Memory, node_contact
 
@@ -22,8 +22,6 @@ wp.set_module_options({"enable_backward": False})
 # A plane broken by less than this part of radius and thickness, or of the way out that a substep allows, needs no
 # further solve.
 TOLERANCE = wp.constant(wp.float64(0.1))
-# Planes of one surface whose normals differ less (cosine) are the same contact, refined.
-SAME = wp.constant(wp.float64(0.9995))
 # Planes that face each other within this (cosine) share the room between them.
 OPPOSED = wp.constant(wp.float64(-0.9))
 GUARD_ROUNDS = wp.constant(8)
@@ -45,37 +43,16 @@ def add_plane(
 ) -> bool:
     """Puts a contact in force; whether the node, as it is, breaks it.
 
-    A contact that is kept already is only noted where the node has no plane of that surface yet. It replaces a
-    plane of the same surface and direction, else takes a free place, else that of the plane with most room.
+    A contact that is kept already is only noted where the node has no plane of that surface yet.
     """
     offset = wp.dot(contact.normal, contact.point) + contact.target
     broken = offset - wp.dot(contact.normal, end)
-    first = node * PLANES_A_NODE
-    slot = wp.int32(-1)
-    free = wp.int32(-1)
-    known = wp.bool(False)
-    loosest = first
-    most_room = -UNBOUNDED
-    for k in range(PLANES_A_NODE):
-        at = first + k
-        if plane_body[at] < 0:
-            if free < 0:
-                free = at
-        else:
-            if plane_body[at] == body:
-                known = True
-                if wp.dot(planes.normal[at], contact.normal) > SAME:
-                    slot = at
-            room = wp.dot(planes.normal[at], end) - planes.offset[at]
-            if room > most_room:
-                most_room = room
-                loosest = at
-    if broken <= tolerance and known:
+    found = find_slot(
+        node * PLANES_A_NODE, PLANES_A_NODE, plane_body, planes.normal, planes.offset, body, contact.normal, end
+    )
+    if broken <= tolerance and found.known:
         return False
-    if slot < 0:
-        slot = free
-    if slot < 0:
-        slot = loosest
+    slot = found.at
     planes.normal[slot] = contact.normal
     planes.offset[slot] = offset
     planes.anchor[slot] = contact.anchor
