@@ -11,11 +11,9 @@ from plait.assets.implicit import blend, ellipsoid, polygonise, relax, round_con
 from plait.pipeline.flesh import embed, fill, fractions
 from plait.solver.scene import StaticMotion, Surface, TetBody
 
-BEAR = 0.20  # [m] its height
-
 
 def bear(triangles: int = 2400) -> tuple[np.ndarray, np.ndarray]:
-    """A sitting bear: points (n, 3) about its middle, triangles (m, 3), closed, of about that many triangles."""
+    """A sitting bear, 0.2 m high: points (n, 3) about its middle, and about that many triangles (m, 3), closed."""
     points, faces = polygonise(bear_distance, (-0.09, -0.12, -0.08), (0.09, 0.12, 0.10), 0.004)
     points, faces = simplify(points, faces, triangles)
     return relax(bear_distance, points, faces, 4), faces

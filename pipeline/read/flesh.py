@@ -60,9 +60,7 @@ def read_tissue(source: Source, body: Body, given: Given) -> Tissue:
     Raises InputError for tets, painted values or bindings that cannot be right.
     """
     skin, point_map, authored = _skin(body)
-    inner = (
-        _own_tets(source, body, skin, authored) if is_tet_mesh(body.prim) else _filled(source, body, skin, given)
-    )
+    inner = _own_tets(source, body, authored) if is_tet_mesh(body.prim) else _filled(source, body, skin, given)
     pinned, attachment = _held(source, body, skin, inner, given, authored)
     count = len(inner.lattice.tets)
     tets = TetBody(
@@ -163,7 +161,7 @@ def _filled(source: Source, body: Body, skin: Surface, given: Given) -> _Inner:
     return _Inner(lattice, embedding, part, motion, _skinning(skin, carry), _blend_shapes(skin, carry))
 
 
-def _own_tets(source: Source, body: Body, skin: Surface, authored: np.ndarray) -> _Inner:
+def _own_tets(source: Source, body: Body, authored: np.ndarray) -> _Inner:
     """The tets of a TetMesh, its points being the nodes."""
     points = values.vectors(source, UsdGeom.TetMesh(body.prim).GetPointsAttr())
     bound = bind(source, body.prim, points, body.binding)

@@ -30,13 +30,12 @@ class Skin:
 
     welded: (point_count,) int32, the one of `points` that each of the caller's points became; -1 for points that
     no triangle has, which are no part of it. solid: (m,) bool, False for triangles of shells that have no inside.
-    flipped: how many shells were inside out."""
+    volume: what it encloses."""
 
     points: np.ndarray
     triangles: np.ndarray
     welded: np.ndarray
     solid: np.ndarray
-    flipped: int
     volume: float
 
     @property
@@ -76,7 +75,7 @@ def prepare(points: np.ndarray, triangles: np.ndarray) -> Skin:
     wrong = _inside_out(points[first], corners, shell, np.where(solid, volume, 0.0))
     turned = np.where(wrong[shell][:, None], corners[:, [0, 2, 1]], corners)
     enclosed = float(np.where(wrong, -volume, volume)[solid].sum())
-    return Skin(points[first], turned.astype(np.int32), welded, solid[shell], int(wrong.sum()), enclosed)
+    return Skin(points[first], turned.astype(np.int32), welded, solid[shell], enclosed)
 
 
 def shell_volumes(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from plait.solver.contact.particle_kernels import face_areas, gather, particle_normals, scatter_impulse, vec4i
+from plait.solver.contact.particle_kernels import face_areas, gather, particle_normals, vec4i
 from plait.solver.contact.skin_lattice import SkinLattice, lay_lattice, locate
 from plait.solver.launch import Launcher
 from plait.solver.scene import Scene, Surface
@@ -104,15 +104,6 @@ class CollisionParticles:
         inputs = [self._lies_on_offsets, self._lies_on, self._area_vector]
         launch(particle_normals, self.count, inputs, [self.normal], work_per_item=2)
         return self.normal
-
-    def scatter(self, particle_impulse: wp.array, node_impulse: wp.array) -> None:
-        """node_impulse += sum_q b_pq particle_impulse, (count,) and (node_count,) vec3d [kg m/s].
-
-        The exact adjoint of `gather`: as much work is done, and, the weights' sums being one, as much linear and
-        angular momentum passed on, as by the impulses on the particles. A gather by node: the same bits always.
-        """
-        inputs = [*self.adjoint, particle_impulse]
-        self._launcher.launch(scatter_impulse, self.layout.node_count, inputs, [node_impulse], work_per_item=4)
 
 
 def fit_masses(nodes: np.ndarray, weights: np.ndarray, area: np.ndarray, node_mass: np.ndarray) -> np.ndarray:

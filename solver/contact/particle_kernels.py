@@ -1,4 +1,4 @@
-"""Collision particles on the device: where they are, how they move, and what acts on them back on the nodes."""
+"""Collision particles on the device: where they are and how they move."""
 
 from __future__ import annotations
 
@@ -60,20 +60,3 @@ def particle_normals(
     if length > ZERO:
         total = total / length
     normal_out[q] = total
-
-
-@wp.kernel
-def scatter_impulse(
-    first: int,
-    node_offsets: wp.array(dtype=wp.int32),
-    node_particles: wp.array(dtype=wp.int32),
-    node_weights: wp.array(dtype=wp.float64),
-    particle_impulse: wp.array(dtype=wp.vec3d),
-    node_impulse: wp.array(dtype=wp.vec3d),
-):
-    """J_p += sum_q b_pq J_q, the adjoint of `gather`; one node of the skin's tets an item, in fixed order."""
-    p = first + wp.tid()
-    total = wp.vec3d()
-    for k in range(node_offsets[p], node_offsets[p + 1]):
-        total += node_weights[k] * particle_impulse[node_particles[k]]
-    node_impulse[p] = node_impulse[p] + total

@@ -61,11 +61,12 @@ class SparseGrid:
         self.data = grid
         self.mass = wp.zeros(self.node_count, dtype=wp.float64, device=self._launcher.device)
         self.velocity = wp.zeros(self.node_count, dtype=wp.vec3d, device=self._launcher.device)
-        self._node_position = ((at[:, None] * BLOCK) + np.indices((BLOCK,) * 3).reshape(3, -1).T).reshape(-1, 3)
+        self._blocks = at
 
     def node_positions(self) -> np.ndarray:
         """(node_count, 3) float64 [m]."""
-        return self._node_position * self.cell_size
+        nodes = self._blocks[:, None] * BLOCK + np.indices((BLOCK,) * 3).reshape(3, -1).T
+        return nodes.reshape(-1, 3) * self.cell_size
 
     def to_grid(self, mass: wp.array, velocity: wp.array) -> None:
         """Fills `mass` and `velocity` from the particles': (particle_count,) float64 [kg], vec3d [m/s]."""

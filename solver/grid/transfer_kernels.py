@@ -9,9 +9,8 @@ wp.set_module_options({"enable_backward": False})
 # Nodes along a block's side. Blocks have slots; node n is number n % BLOCK_NODES of slot n / BLOCK_NODES.
 BLOCK = wp.constant(4)
 BLOCK_NODES = wp.constant(64)
-# Nodes along the side of a particle's stencil, and neighbours of a block in the direction of its stencils.
+# Nodes along the side of a particle's stencil.
 STENCIL = wp.constant(3)
-NEIGHBOURS = wp.constant(8)
 
 
 @wp.struct

@@ -31,7 +31,6 @@ class StiffnessDamping:
         self._data = self._kernels.types.Damping()
         self._data.rotation = wp.zeros(self._count, dtype=element_types(real).mat33, device=device)
         self._data.base = wp.zeros(self._count, dtype=wp.mat33d, device=device)
-        self._lost = wp.zeros(self._count, dtype=wp.float64, device=device)
 
     def begin(self, start: wp.array, predicted: wp.array, base: wp.array, share: float, reach: float) -> None:
         """For a step of `reach` [s], from `start` to about `predicted`, (node_count,) vec3d, with velocities that
