@@ -6,17 +6,15 @@ this file; with `--reference` it simulates the shot too and writes the cache `sm
 
 from __future__ import annotations
 
-import argparse
-import tempfile
 from pathlib import Path
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics
 
 from plait.assets import small_scene
+from plait.assets.small_scene import SHOT
 
 FOLDER = Path(__file__).parent / "small_flesh"
-SHOT, REFERENCE = "shot.usda", "reference.usdc"
 HEAD, JELLY, GROUND = "/World/Head/Skin", "/World/Jelly", "/World/Ground"
 # Beside the defaults, in the test too.
 SETTINGS = ("preroll=0",)
@@ -26,34 +24,17 @@ JELLY_SIZE, JELLY_CELLS, DROP = 12.0, 2, 4.0  # [cm] edge and height above the g
 def write(folder: Path) -> Path:
     """Writes `folder`/shot.usda, always the same bytes, and returns its path."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
-    stage = Usd.Stage.Open(layer)
-    stage.SetStartTimeCode(1)
-    stage.SetEndTimeCode(small_scene.FRAMES)
-    stage.SetTimeCodesPerSecond(small_scene.RATE)
-    stage.SetFramesPerSecond(small_scene.RATE)
-    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    stage = small_scene.open_stage(layer)
     stage.SetDefaultPrim(stage.OverridePrim("/World"))
     _set(stage.OverridePrim(HEAD), role="flesh", tetEdge=6.0, youngsModulus=200.0, stiffnessDamping=0.002)
     _jelly(stage)
     _ground(stage)
     del stage  # an anonymous layer cannot find its neighbours
-    layer.subLayerPaths = [f"../{small_scene.FOLDER.name}/{small_scene.SHOT}"]
+    layer.subLayerPaths = [f"../{small_scene.FOLDER.name}/{SHOT}"]
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / SHOT
     layer.Export(str(path))
     return path
-
-
-def write_reference(folder: Path) -> Path:
-    """Simulates `folder`/shot.usda and packs the result into `folder`/reference.usdc, whose path it returns."""
-    from plait.pipeline import config, driver, pack
-
-    with tempfile.TemporaryDirectory() as work:
-        output = Path(work) / "out.usda"
-        driver.simulate(folder / SHOT, output, config.load(None, list(SETTINGS)))
-        pack.pack(output, folder / REFERENCE, overwrite=True)
-    return folder / REFERENCE
 
 
 def _set(prim: Usd.Prim, role: str, **parameters: float) -> None:
@@ -98,15 +79,5 @@ def _ground(stage: Usd.Stage) -> None:
     UsdPhysics.CollisionAPI.Apply(ground.GetPrim())
 
 
-def main() -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--reference", action="store_true", help="simulate it and write the reference cache too")
-    options = parser.parse_args()
-    print(write(FOLDER))
-    if options.reference:
-        print(write_reference(FOLDER))
-
-
 if __name__ == "__main__":
-    main()
+    small_scene.main(__doc__, FOLDER, write, SETTINGS)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -28,13 +29,7 @@ DIGITS = 4  # written: a micrometre, the same on machines whose sines differ in 
 def write(folder: Path) -> Path:
     """Writes `folder`/shot.usda, always the same bytes, and returns its path."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
-    stage = Usd.Stage.Open(layer)
-    stage.SetStartTimeCode(1)
-    stage.SetEndTimeCode(FRAMES)
-    stage.SetTimeCodesPerSecond(RATE)
-    stage.SetFramesPerSecond(RATE)
-    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    stage = open_stage(layer)
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
     root = UsdSkel.Root.Define(stage, "/World/Head")
     root.CreateExtentAttr(Vt.Vec3fArray([(-40, -5, -40), (40, 50, 40)]))
@@ -50,14 +45,28 @@ def write(folder: Path) -> Path:
     return path
 
 
-def write_reference(folder: Path) -> Path:
-    """Simulates `folder`/shot.usda and packs the result into `folder`/reference.usdc, whose path it returns."""
-    from plait.pipeline import driver, pack
-    from plait.pipeline.config import Config
+def open_stage(layer: Sdf.Layer) -> Usd.Stage:
+    """The stage of a layer, with this shot's units and range."""
+    stage = Usd.Stage.Open(layer)
+    stage.SetStartTimeCode(1)
+    stage.SetEndTimeCode(FRAMES)
+    stage.SetTimeCodesPerSecond(RATE)
+    stage.SetFramesPerSecond(RATE)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    return stage
+
+
+def write_reference(folder: Path, settings: tuple[str, ...] = ()) -> Path:
+    """Simulates `folder`/shot.usda and packs the result into `folder`/reference.usdc, whose path it returns.
+
+    settings: assignments over the defaults.
+    """
+    from plait.pipeline import config, driver, pack
 
     with tempfile.TemporaryDirectory() as work:
         output = Path(work) / "out.usda"
-        driver.simulate(folder / SHOT, output, Config())
+        driver.simulate(folder / SHOT, output, config.load(None, list(settings)))
         pack.pack(output, folder / REFERENCE, overwrite=True)
     return folder / REFERENCE
 
@@ -206,15 +215,15 @@ def _vectors(points: np.ndarray) -> Vt.Vec3fArray:
     return Vt.Vec3fArray([tuple(point) for point in np.round(points, DIGITS).tolist()])
 
 
-def main() -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main(description: str, folder: Path, write: Callable[[Path], Path], settings: tuple[str, ...] = ()) -> None:
+    """The command that writes a small shot into `folder`."""
+    parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument("--reference", action="store_true", help="simulate it and write the reference cache too")
     options = parser.parse_args()
-    print(write(FOLDER))
+    print(write(folder))
     if options.reference:
-        print(write_reference(FOLDER))
+        print(write_reference(folder, settings))
 
 
 if __name__ == "__main__":
-    main()
+    main(__doc__, FOLDER, write)

@@ -12,27 +12,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom, Vt
+from pxr import Usd, UsdGeom
 
 from plait.assets.small_scene import FOLDER, REFERENCE, SHOT, write
-from plait.pipeline import config, driver
-from plait.pipeline.compare import Comparison, compare
-from plait.pipeline.validate import validate, validator_findings
+from plait.pipeline.compare import compare
+
+from .small_shots import assert_valid, largest, nudged, simulated
 
 TOLERANCE = 1e-4 * 0.26  # [m]
 HAIR = "/World/Hair"
-
-
-def simulated(shot: Path, output: Path, *assignments: str) -> Path:
-    driver.simulate(shot, output, config.load(None, list(assignments)))
-    return output
-
-
-def largest(comparison: Comparison) -> float:
-    """[m] how far any point of the hair is from the reference."""
-    (hair,) = [prim for prim in comparison.prims if prim.path == HAIR]
-    assert len(hair.codes) == 24 and not hair.problems
-    return float(hair.largest.max())
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +39,7 @@ def test_same_as_the_reference(result):
 
 
 def test_shot_and_result_are_valid(result):
-    assert validator_findings(Usd.Stage.Open(str(FOLDER / SHOT))) == []
-    assert validate(result) == []
-    assert validate(FOLDER / REFERENCE) == []
+    assert_valid(FOLDER / SHOT, result, FOLDER / REFERENCE)
 
 
 def test_the_strands_touch_the_ball(result):
@@ -73,18 +59,10 @@ def test_the_strands_touch_the_ball(result):
 def test_a_change_is_seen(result, tmp_path, change):
     """So that the comparison can fail: five or ten percent of one parameter, one substep more."""
     new = simulated(FOLDER / SHOT, tmp_path / "out.usda", change)
-    assert largest(compare(result, new, TOLERANCE)) > 10.0 * TOLERANCE
+    assert largest(compare(result, new, TOLERANCE), HAIR) > 10.0 * TOLERANCE
 
 
 def test_rounding_of_the_input_stays_below(result, tmp_path):
     """Every point of the drawn hair moved by a rounding of float32: a tenth of the tolerance at most."""
-    shot = tmp_path / SHOT
-    shot.write_bytes((FOLDER / SHOT).read_bytes())
-    stage = Usd.Stage.Open(str(shot))
-    points = UsdGeom.BasisCurves(stage.GetPrimAtPath(HAIR)).GetPointsAttr()
-    drawn = np.array(points.Get(), np.float32)
-    sign = np.random.default_rng(1).choice([-np.inf, np.inf], drawn.shape).astype(np.float32)
-    points.Set(Vt.Vec3fArray.FromNumpy(np.nextafter(drawn, sign)))
-    stage.Save()
-    new = simulated(shot, tmp_path / "out.usda")
-    assert 0.0 < largest(compare(result, new, TOLERANCE)) < 0.1 * TOLERANCE
+    new = simulated(nudged(FOLDER / SHOT, tmp_path / SHOT, HAIR), tmp_path / "out.usda")
+    assert 0.0 < largest(compare(result, new, TOLERANCE), HAIR) < 0.1 * TOLERANCE

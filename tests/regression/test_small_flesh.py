@@ -11,31 +11,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom, Vt
+from pxr import Usd, UsdGeom
 
-from plait.assets.small_flesh_scene import FOLDER, HEAD, JELLY, REFERENCE, SETTINGS, SHOT, write
-from plait.pipeline import config, driver
-from plait.pipeline.compare import Comparison, compare
-from plait.pipeline.validate import validate, validator_findings
+from plait.assets.small_flesh_scene import FOLDER, HEAD, JELLY, SETTINGS, write
+from plait.assets.small_scene import REFERENCE, SHOT
+from plait.pipeline.compare import compare
+
+from .small_shots import assert_valid, largest, nudged, simulated
 
 TOLERANCE = 1e-4 * 0.36  # [m]
 
 
-def simulated(shot: Path, output: Path, *assignments: str) -> Path:
-    driver.simulate(shot, output, config.load(None, [*SETTINGS, *assignments]))
-    return output
-
-
-def largest(comparison: Comparison, path: str) -> float:
-    """[m] how far any point of a prim is from the reference."""
-    (prim,) = [prim for prim in comparison.prims if prim.path == path]
-    assert len(prim.codes) == 24 and not prim.problems
-    return float(prim.largest.max())
-
-
 @pytest.fixture(scope="module")
 def result(tmp_path_factory) -> Path:
-    return simulated(FOLDER / SHOT, tmp_path_factory.mktemp("small_flesh") / "out.usda")
+    return simulated(FOLDER / SHOT, tmp_path_factory.mktemp("small_flesh") / "out.usda", *SETTINGS)
 
 
 def test_the_generator_writes_the_shot_that_ships(tmp_path):
@@ -49,9 +38,7 @@ def test_same_as_the_reference(result):
 
 
 def test_shot_and_result_are_valid(result):
-    assert validator_findings(Usd.Stage.Open(str(FOLDER / SHOT))) == []
-    assert validate(result) == []
-    assert validate(FOLDER / REFERENCE) == []
+    assert_valid(FOLDER / SHOT, result, FOLDER / REFERENCE)
 
 
 def test_flesh_is_left_behind_and_touches(result):
@@ -77,21 +64,14 @@ def test_flesh_is_left_behind_and_touches(result):
 )
 def test_a_change_is_seen(result, tmp_path, change, prim):
     """So that the comparison can fail: ten percent of a stiffness, another integrator."""
-    new = simulated(FOLDER / SHOT, tmp_path / "out.usda", change)
+    new = simulated(FOLDER / SHOT, tmp_path / "out.usda", *SETTINGS, change)
     assert largest(compare(result, new, TOLERANCE), prim) > 10.0 * TOLERANCE
 
 
 def test_rounding_of_the_input_stays_below(result, tmp_path):
     """Every node of the jelly moved by a rounding of float32: a tenth of the tolerance at most."""
-    shot = tmp_path / "small_flesh" / SHOT
-    shot.parent.mkdir()
+    folder = tmp_path / "small_flesh"
+    folder.mkdir()
     (tmp_path / "small").symlink_to(FOLDER.parent / "small")
-    shot.write_bytes((FOLDER / SHOT).read_bytes())
-    stage = Usd.Stage.Open(str(shot))
-    points = UsdGeom.PointBased(stage.GetPrimAtPath(JELLY)).GetPointsAttr()
-    drawn = np.array(points.Get(), np.float32)
-    sign = np.random.default_rng(1).choice([-np.inf, np.inf], drawn.shape).astype(np.float32)
-    points.Set(Vt.Vec3fArray.FromNumpy(np.nextafter(drawn, sign)))
-    stage.Save()
-    new = simulated(shot, tmp_path / "out.usda")
+    new = simulated(nudged(FOLDER / SHOT, folder / SHOT, JELLY), tmp_path / "out.usda", *SETTINGS)
     assert 0.0 < largest(compare(result, new, TOLERANCE), JELLY) < 0.1 * TOLERANCE
