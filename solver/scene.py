@@ -210,6 +210,9 @@ class Strands:
     rest_shape: 'sagfree': at rest under gravity as drawn; 'authored': stress-free as drawn.
     rest_transform: (4, 4) float64, the rest points to world where the artist drew them (gives gravity's
         direction for 'sagfree').
+    thickness: [m] distance kept between strands beside their radii; the larger of two strands' counts.
+    pic_fraction: of 'paper' strand contact: the part of the grid's velocity taken over (Han 2019 (33), xi).
+    free: (strand_count,) bool, strands that nothing holds at their roots: cut hair, ropes; None for none.
     loads: (point_count, 3) float64 [N], dead loads in world; None for none. For validation scenes.
     """
 
@@ -227,10 +230,53 @@ class Strands:
     rest_shape: RestShape = "sagfree"
     rest_transform: np.ndarray = field(default_factory=lambda: np.eye(4))
     loads: np.ndarray | None = None
+    thickness: float = 0.0
+    pic_fraction: float = 0.05
+    free: np.ndarray | None = None
 
     @property
     def strand_count(self) -> int:
         return len(self.offsets) - 1
+
+
+class Switch(Protocol):
+    """Whether something animated is on."""
+
+    def on(self, time: float) -> bool:
+        """At `time` [s], shot time."""
+
+
+@dataclass(frozen=True)
+class AlwaysOn:
+    """A switch that is never off."""
+
+    def on(self, time: float) -> bool:
+        return True
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """Points of strands held to places on a surface or to points of strands: ties, clamps, braids' ends.
+
+    The offset between the two when the attachment comes on is kept: on a surface in the triangle's frame, between
+    strands in world. A clamp moved by an animated prim is held to a surface of its own (`collides=False`).
+
+    strands: index into `Scene.strands`.  point: (n,) int32, points of it.
+    surface: index into `Scene.surfaces`, with triangle (n,) int32 and barycentric (n, 3); or None and
+    other: index into `Scene.strands`, with other_point (n,) int32.
+    stiffness: [N/m] of each; infinity holds exactly.
+    """
+
+    name: str
+    strands: int
+    point: np.ndarray
+    surface: int | None = None
+    triangle: np.ndarray | None = None
+    barycentric: np.ndarray | None = None
+    other: int | None = None
+    other_point: np.ndarray | None = None
+    stiffness: float = np.inf
+    switch: Switch = field(default_factory=AlwaysOn)
 
 
 @dataclass(frozen=True)
@@ -245,3 +291,4 @@ class Scene:
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, -9.81, 0.0]))
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     bodies: tuple[TetBody, ...] = ()
+    attachments: tuple[Attachment, ...] = ()

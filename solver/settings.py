@@ -38,6 +38,20 @@ class ContactSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     exit_speed: Positive = 0.5
 
 
+class StrandContactSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """[strand_contact]: strands against strands.
+
+    method: 'implicit' (default) solves contact with the strands and lets none through; 'paper' is Han 2019, 5.2
+        and 5.3, for comparison; 'none' lets strands pass through each other.
+    passes: Newton passes of the strands in contact in a substep, before it is asked to be halved.
+    geometric_passes: of 'paper', how often geometric impulses are applied in a substep.
+    """
+
+    method: Literal["implicit", "paper", "none"] = "implicit"
+    passes: Count = 16
+    geometric_passes: Count = 5
+
+
 class FleshSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """[flesh]: the solve of elastic bodies.
 
@@ -84,5 +98,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     substeps: Count = 8
     strands: StrandSettings = StrandSettings()
     contact: ContactSettings = ContactSettings()
+    strand_contact: StrandContactSettings = StrandContactSettings()
     flesh: FleshSettings = FleshSettings()
     grid: GridSettings = GridSettings()
