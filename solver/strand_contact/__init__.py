@@ -1,0 +1,1 @@
+"""Strands against strands."""
