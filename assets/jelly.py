@@ -37,6 +37,20 @@ def ball(radius: float, subdivisions: int = 3) -> tuple[np.ndarray, np.ndarray]:
     return np.array(sphere.vertices, dtype=np.float64), np.array(sphere.faces, dtype=np.int32)
 
 
+def fitted(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
+    """`points` moved and turned to where they fit `onto` best in the mean square (Kabsch 1976); (n, 3) each."""
+    middle, other = points.mean(axis=0), onto.mean(axis=0)
+    u, _, vt = np.linalg.svd((points - middle).T @ (onto - other))
+    keep = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    return (points - middle) @ (u @ keep @ vt) + other
+
+
+def off_shape(rest: np.ndarray, points: np.ndarray) -> float:
+    """Largest distance from the rest shape, put where it fits best, over the diagonal of its bounding box."""
+    away = np.linalg.norm(fitted(rest, points) - points, axis=1)
+    return float(away.max() / np.linalg.norm(np.ptp(rest, axis=0)))
+
+
 def soft_body(
     points: np.ndarray,
     triangles: np.ndarray,

@@ -13,6 +13,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdPhysics
 
 from plait.assets import small_scene
 from plait.assets.small_scene import SHOT
+from plait.assets.stages import author_parameters
 
 FOLDER = Path(__file__).parent / "small_flesh"
 HEAD, JELLY, GROUND = "/World/Head/Skin", "/World/Jelly", "/World/Ground"
@@ -26,7 +27,8 @@ def write(folder: Path) -> Path:
     layer = Sdf.Layer.CreateAnonymous(".usda")
     stage = small_scene.open_stage(layer)
     stage.SetDefaultPrim(stage.OverridePrim("/World"))
-    _set(stage.OverridePrim(HEAD), role="flesh", tetEdge=6.0, youngsModulus=200.0, stiffnessDamping=0.002)
+    head = {"tetEdge": 6.0, "youngsModulus": 200.0, "stiffnessDamping": 0.002}
+    author_parameters(stage.OverridePrim(HEAD), head, role="flesh")
     _jelly(stage)
     _ground(stage)
     del stage  # an anonymous layer cannot find its neighbours
@@ -35,12 +37,6 @@ def write(folder: Path) -> Path:
     path = folder / SHOT
     layer.Export(str(path))
     return path
-
-
-def _set(prim: Usd.Prim, role: str, **parameters: float) -> None:
-    prim.CreateAttribute("plait:role", Sdf.ValueTypeNames.Token).Set(role)
-    for name, value in parameters.items():
-        prim.CreateAttribute(f"plait:{name}", Sdf.ValueTypeNames.Float).Set(value)
 
 
 def _jelly(stage: Usd.Stage) -> None:
@@ -66,7 +62,7 @@ def _jelly(stage: Usd.Stage) -> None:
     mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(mesh.GetPointsAttr().Get()))
     mesh.CreateDisplayColorAttr([(0.75, 0.25, 0.30)])
     mesh.AddTranslateOp().Set((40.0, 0.5 * JELLY_SIZE + DROP, 0.0))
-    _set(mesh.GetPrim(), role="flesh", youngsModulus=100.0)
+    author_parameters(mesh.GetPrim(), {"youngsModulus": 100.0}, role="flesh")
 
 
 def _ground(stage: Usd.Stage) -> None:

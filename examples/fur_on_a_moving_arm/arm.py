@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
 from plait.assets.small_scene import capsule
+from plait.assets.stages import author_roots, define_mesh, new_stage
 
 FRAMES, RATE = 60, 30.0
 LENGTH, RADIUS = 0.6, 0.05  # [m] of the arm: a capsule along X, the elbow in its middle
@@ -19,9 +20,7 @@ JOINTS = ("Shoulder", "Shoulder/Elbow")
 
 def write(path: Path) -> None:
     """Writes the shot to `path`."""
-    stage = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    stage = new_stage(path)
     stage.SetTimeCodesPerSecond(RATE)
     stage.SetStartTimeCode(1)
     stage.SetEndTimeCode(FRAMES)
@@ -64,12 +63,7 @@ def _add_skeleton(stage: Usd.Stage) -> UsdSkel.Skeleton:
 
 
 def _add_skin(stage: Usd.Stage, skin: trimesh.Trimesh, skeleton: UsdSkel.Skeleton) -> None:
-    mesh = UsdGeom.Mesh.Define(stage, "/World/Arm/Skin")
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(skin.vertices.astype(np.float32)))
-    mesh.CreateFaceVertexCountsAttr([3] * len(skin.faces))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(skin.faces.astype(np.int32).ravel()))
-    mesh.CreateDisplayColorAttr([(0.55, 0.36, 0.28)])
+    mesh = define_mesh(stage, "/World/Arm/Skin", skin.vertices, skin.faces, (0.55, 0.36, 0.28))
     second = np.clip(0.5 + skin.vertices[:, 0] / (3.0 * RADIUS), 0.0, 1.0)
     weights = np.stack([1.0 - second, second], axis=1).astype(np.float32)
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
@@ -97,9 +91,4 @@ def _add_fur(stage: Usd.Stage, skin: trimesh.Trimesh) -> None:
     fur.CreateWidthsAttr([1e-4])
     fur.SetWidthsInterpolation(UsdGeom.Tokens.constant)
     fur.CreateDisplayColorAttr([(0.22, 0.12, 0.05)])
-    primvars, types = UsdGeom.PrimvarsAPI(fur), Sdf.ValueTypeNames
-    primvars.CreatePrimvar("skinprim", types.IntArray, "uniform").Set(
-        Vt.IntArray.FromNumpy(faces.astype(np.int32))
-    )
-    uv = np.ascontiguousarray(places[:, 1:], np.float32)
-    primvars.CreatePrimvar("skinprimuv", types.Float2Array, "uniform").Set(Vt.Vec2fArray.FromNumpy(uv))
+    author_roots(fur, faces, places)

@@ -9,8 +9,9 @@ import runpy
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Usd, UsdGeom
 
+from plait.assets.stages import pose_points, read_roots, read_triangles
 from plait.pipeline import config, driver
 from plait.pipeline.compare import strand_lengths
 from plait.pipeline.preview import render_still
@@ -41,14 +42,13 @@ def check(cache: Path) -> None:
     drawn = np.array(fur.GetPointsAttr().Get(1)).reshape(HAIRS, POINTS, 3)
     counts = (POINTS,) * HAIRS
     length = strand_lengths(drawn.reshape(-1, 3), counts)
-    skin, triangles = _skin(stage)
-    root_face = np.array(fur.GetPrim().GetAttribute("primvars:skinprim").Get())
-    uv = np.array(fur.GetPrim().GetAttribute("primvars:skinprimuv").Get(), float)
-    weights = np.column_stack([1.0 - uv.sum(axis=1), uv])
+    skin = pose_points(stage, "/World/Arm", range(1, FRAMES + 1))
+    triangles = read_triangles(stage.GetPrimAtPath("/World/Arm/Skin"))
+    root_face, weights = read_roots(fur.GetPrim())
     lag = 0.0
     for code in range(1, FRAMES + 1):
         points = np.array(fur.GetPointsAttr().Get(code), float)
-        hairs, placed = points.reshape(HAIRS, POINTS, 3), skin(code)
+        hairs, placed = points.reshape(HAIRS, POINTS, 3), skin[code - 1]
         corners = placed[triangles]
         # Roots sit where the skin carries them, to the rounding of float32 in either file.
         grown = np.einsum("hk,hkd->hd", weights, corners[root_face])
@@ -70,22 +70,6 @@ def _height(points: np.ndarray, skin: np.ndarray, triangles: np.ndarray) -> np.n
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     offset = points - np.einsum("pk,pkd->pd", place, corners)
     return np.sum(offset * normal, axis=1) / np.linalg.norm(normal, axis=1)
-
-
-def _skin(stage: Usd.Stage):
-    """(time code -> (n, 3) where UsdSkel puts the skin, its triangles)."""
-    prim = stage.GetPrimAtPath("/World/Arm/Skin")
-    cache, root = UsdSkel.Cache(), UsdSkel.Root(stage.GetPrimAtPath("/World/Arm"))
-    cache.Populate(root, Usd.PrimDefaultPredicate)
-    skeleton = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath("/World/Arm/Skeleton")))
-    query, mesh = cache.GetSkinningQuery(prim), UsdGeom.Mesh(prim)
-
-    def points(code: float) -> np.ndarray:
-        held = mesh.GetPointsAttr().Get()
-        query.ComputeSkinnedPoints(skeleton.ComputeSkinningTransforms(code), held, code)
-        return np.array(held, float)
-
-    return points, np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
 
 
 def main(folder: Path, draw: bool = True) -> None:

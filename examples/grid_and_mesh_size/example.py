@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from pxr import Gf, Usd, UsdGeom, Vt
+from pxr import Gf, UsdGeom
 
-from plait.assets import jelly
+from plait.assets import jelly, stages
 from plait.pipeline.preview import render
 from plait.pipeline.tetrahedra.skin import Inside
 from plait.solver.build import build
@@ -185,19 +185,12 @@ def check(result: Result) -> None:
 
 def write(result: Result, path: Path) -> None:
     """The blocks at rest as a USD stage, from the finest grid to the coarsest, on a cell of each."""
-    stage = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    stage = stages.new_stage(path)
     for column, (cell, found) in enumerate(result.rests.items()):
         x = column * APART
         for half in (0, 1):
-            mesh = UsdGeom.Mesh.Define(stage, f"/block_{column}_{half}")
             moved = found.points[half] + np.array([x, 0.0, 0.0])
-            mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(moved.astype(np.float32)))
-            mesh.CreateFaceVertexCountsAttr([3] * len(found.triangles[half]))
-            mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(found.triangles[half].ravel()))
-            mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-            mesh.CreateDisplayColorAttr([Gf.Vec3f(*COLOURS[half])])
+            stages.define_mesh(stage, f"/block_{column}_{half}", moved, found.triangles[half], COLOURS[half])
         cube = UsdGeom.Cube.Define(stage, f"/cell_{column}")
         cube.CreateSizeAttr(cell * result.edge)
         cube.AddTranslateOp().Set(Gf.Vec3d(x, -0.5 * BLOCK[1] - 0.06, 0.5 * BLOCK[2]))

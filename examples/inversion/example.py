@@ -12,9 +12,9 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Usd, UsdGeom, Vt
+from pxr import Gf, UsdGeom
 
-from plait.assets import jelly
+from plait.assets import jelly, stages
 from plait.pipeline.preview import render
 from plait.solver.build import build
 from plait.solver.scene import Scene, Surface
@@ -64,17 +64,7 @@ class Result:
 
     def error(self, nodes: np.ndarray) -> float:
         """Largest distance from the rest shape, put where it fits best, over the diagonal of its bounding box."""
-        rest = self.layout.rest
-        moved = rigidly(rest, nodes)
-        return float(np.linalg.norm(moved - nodes, axis=1).max() / np.linalg.norm(np.ptp(rest, axis=0)))
-
-
-def rigidly(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
-    """`points` moved and turned to where they fit `onto` best in the mean square (Kabsch 1976)."""
-    middle, other = points.mean(axis=0), onto.mean(axis=0)
-    u, _, vt = np.linalg.svd((points - middle).T @ (onto - other))
-    keep = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    return (points - middle) @ (u @ keep @ vt) + other
+        return jelly.off_shape(self.layout.rest, nodes)
 
 
 def starts(rest: np.ndarray, edge: float) -> dict[str, np.ndarray]:
@@ -133,25 +123,18 @@ def check(result: Result) -> None:
 
 def write(result: Result, path: Path) -> None:
     """A USD stage, a row a start: the start in grey, then, by grid, plain MPM, then the method."""
-    stage = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    stage = stages.new_stage(path)
     cells = sorted({cell for _, cell in result.hybrid})
     for row, (name, started) in enumerate(result.started.items()):
         places = [(started, GREY)]
         places += [(result.plain[name, cell], COLOURS[cell]) for cell in cells]
         places += [(result.hybrid[name, cell], COLOURS[cell]) for cell in cells]
         for column, (nodes, colour) in enumerate(places):
-            mesh = UsdGeom.Mesh.Define(stage, f"/bear_{row}_{column}")
             extra = 0.5 * (column > 0) + 0.5 * (column > len(cells))
             offset = np.array([(column + extra) * APART, -row * APART, 0.0])
-            points = _skin_points(result, rigidly(nodes, result.layout.rest)) + offset
-            mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)))
-            mesh.CreateFaceVertexCountsAttr([3] * len(result.skin.triangles))
-            mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(result.skin.triangles.ravel()))
-            mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+            points = _skin_points(result, jelly.fitted(nodes, result.layout.rest)) + offset
+            mesh = stages.define_mesh(stage, f"/bear_{row}_{column}", points, result.skin.triangles, colour)
             mesh.CreateDoubleSidedAttr(True)
-            mesh.CreateDisplayColorAttr([Gf.Vec3f(*colour)])
     width, height = (2 * len(cells) + 2) * APART, (len(result.started) - 1) * APART
     camera = UsdGeom.Camera.Define(stage, "/Camera")
     camera.CreateFocalLengthAttr(50.0)

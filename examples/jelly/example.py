@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdGeom
+from pxr import Usd
 
+from plait.assets.jelly import off_shape
+from plait.assets.stages import frame_codes, read_points, read_roots, read_triangles
 from plait.pipeline import config, driver
 from plait.pipeline.compare import strand_lengths
 from plait.pipeline.preview import render
@@ -65,22 +67,16 @@ class Shown:
 
 def read(cache: Path) -> Shown:
     stage = Usd.Stage.Open(str(cache))
-    codes = np.arange(stage.GetStartTimeCode(), stage.GetEndTimeCode() + 1e-6)
-
-    def points(name: str) -> np.ndarray:
-        held = UsdGeom.PointBased(stage.GetPrimAtPath(f"/World/{name}")).GetPointsAttr()
-        return np.array([held.Get(code) for code in codes], dtype=float)
-
-    hair = stage.GetPrimAtPath("/World/Hair")
-    uv = np.array(hair.GetAttribute("primvars:skinprimuv").Get(), dtype=float)
-    triangles = UsdGeom.Mesh(stage.GetPrimAtPath("/World/Ball")).GetFaceVertexIndicesAttr().Get()
+    codes = frame_codes(stage)
+    bear, ball, hair = (stage.GetPrimAtPath(f"/World/{name}") for name in ("Bear", "Ball", "Hair"))
+    root_face, root_weights = read_roots(hair)
     return Shown(
-        points("Bear"),
-        points("Ball"),
-        points("Hair").reshape(len(codes), len(uv), SHOT["POINTS"], 3),
-        np.array(triangles).reshape(-1, 3),
-        np.array(hair.GetAttribute("primvars:skinprim").Get()),
-        np.column_stack([1.0 - uv.sum(axis=1), uv]),
+        read_points(bear, codes),
+        read_points(ball, codes),
+        read_points(hair, codes).reshape(len(codes), len(root_face), SHOT["POINTS"], 3),
+        read_triangles(ball),
+        root_face,
+        root_weights,
     )
 
 
@@ -118,22 +114,10 @@ def check_bear(shown: Shown, size: Size) -> None:
     assert beyond.max() < 0.5 * size.edge
     if times[-1] < SHOT["OPENING"][1]:
         return
-    left = deviation(shown.bear[0], shown.bear)
-    print(f"bear: off its shape by {left.max():.2f} of its size while squeezed, by {left[-1]:.3f} in the end")
-    assert left.max() > 0.15 and left[-1] < 0.05
+    left = [off_shape(shown.bear[0], points) for points in shown.bear]
+    print(f"bear: off its shape by {max(left):.2f} of its size while squeezed, by {left[-1]:.3f} in the end")
+    assert max(left) > 0.15 and left[-1] < 0.05
     assert beyond[-1] < 0.1 * size.edge
-
-
-def deviation(rest: np.ndarray, frames: np.ndarray) -> np.ndarray:
-    """(frame_count,) largest distance from `rest`, put where it fits best, over the diagonal of its box."""
-    found = []
-    middle = rest.mean(axis=0)
-    for points in frames:
-        u, _, vt = np.linalg.svd((rest - middle).T @ (points - points.mean(axis=0)))
-        keep = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-        fitted = (rest - middle) @ (u @ keep @ vt) + points.mean(axis=0)
-        found.append(np.linalg.norm(points - fitted, axis=1).max())
-    return np.array(found) / np.linalg.norm(np.ptp(rest, axis=0))
 
 
 def main(folder: Path, draw: bool = True, size: str = "default") -> None:

@@ -12,6 +12,7 @@ import trimesh
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
 
 from plait.assets import generate, jelly, walk
+from plait.assets.stages import author_parameters, author_roots
 
 FIRST, RATE = 1.0, generate.RATE
 CENTIMETRES = 100.0
@@ -64,10 +65,7 @@ def _author_jelly(
     mesh = generate.define_mesh(stage, generate.WORLD.AppendChild(name), points, triangles)
     mesh.CreateDisplayColorAttr([Gf.Vec3f(*COLOURS[name])])
     mesh.AddTranslateOp().Set(Gf.Vec3d(x, 0.0, 0.0))
-    prim = mesh.GetPrim()
-    prim.CreateAttribute("plait:role", Sdf.ValueTypeNames.Token, custom=True).Set("flesh")
-    for key, value in {**JELLY, "tetEdge": edge}.items():
-        prim.CreateAttribute(f"plait:{key}", Sdf.ValueTypeNames.Float, custom=True).Set(value)
+    author_parameters(mesh.GetPrim(), {**JELLY, "tetEdge": edge}, role="flesh")
 
 
 def _author_floor(stage: Usd.Stage) -> None:
@@ -112,15 +110,10 @@ def _author_hair(stage: Usd.Stage, ball: trimesh.Trimesh, count: int) -> None:
     hair.SetWidthsInterpolation(UsdGeom.Tokens.constant)
     hair.CreateDisplayColorAttr([(0.22, 0.12, 0.05)])
     hair.AddTranslateOp().Set(Gf.Vec3d(BALL_X, 0.0, 0.0))
-    prim, types = hair.GetPrim(), Sdf.ValueTypeNames
+    prim = hair.GetPrim()
     prim.SetMetadata("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["PhysicsCurvesDeformableSimAPI"]))
     prim.CreateRelationship("plait:skin").SetTargets([generate.WORLD.AppendChild("Ball")])
-    primvars = UsdGeom.PrimvarsAPI(hair)
-    primvars.CreatePrimvar("skinprim", types.IntArray, "uniform").Set(
-        Vt.IntArray.FromNumpy(faces.astype(np.int32))
-    )
-    uv = np.ascontiguousarray(places[:, 1:], np.float32)
-    primvars.CreatePrimvar("skinprimuv", types.Float2Array, "uniform").Set(Vt.Vec2fArray.FromNumpy(uv))
+    author_roots(hair, faces, places)
 
 
 def _author_camera(stage: Usd.Stage) -> None:

@@ -12,15 +12,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Usd
 
+from plait.assets.stages import frame_codes, pose_points, read_points
 from plait.pipeline import config, driver
 from plait.pipeline.preview import render_still
 from plait.pipeline.validate import validate
 
 HERE = Path(__file__).parent
 SHOT = runpy.run_path(str(HERE / "wall.py"))
-BODY, SKIN = "/World/Mannequin", "/World/Mannequin/Skin"
+BODY = "/World/Mannequin"
 GRAVITY = 981.0  # [cm/s2]
 
 
@@ -69,28 +70,11 @@ class Shown:
 
 def read(cache: Path) -> Shown:
     stage = Usd.Stage.Open(str(cache))
-    codes = np.arange(stage.GetStartTimeCode(), stage.GetEndTimeCode() + 1e-6)
-
-    def points(prim: Usd.Prim) -> np.ndarray:
-        held = UsdGeom.Mesh(prim).GetPointsAttr()
-        return np.array([held.Get(code) for code in codes], dtype=float)
-
-    planks = [points(prim) for prim in stage.GetPrimAtPath("/World/Wall").GetChildren()]
+    codes = frame_codes(stage)
+    planks = [read_points(prim, codes) for prim in stage.GetPrimAtPath("/World/Wall").GetChildren()]
     shot = Usd.Stage.Open(str(cache.with_name("wall_shot.usda")))
-    return Shown(points(stage.GetPrimAtPath(SKIN)), animated(shot, codes), planks)
-
-
-def animated(stage: Usd.Stage, codes: np.ndarray) -> np.ndarray:
-    """(frame_count, point_count, 3) where UsdSkel puts the mannequin's skin."""
-    cache, prim = UsdSkel.Cache(), stage.GetPrimAtPath(SKIN)
-    cache.Populate(UsdSkel.Root(stage.GetPrimAtPath(BODY)), Usd.PrimDefaultPredicate)
-    skeleton = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath(f"{BODY}/Skeleton")))
-    query, frames = cache.GetSkinningQuery(prim), []
-    for code in codes:
-        points = UsdGeom.Mesh(prim).GetPointsAttr().Get()
-        query.ComputeSkinnedPoints(skeleton.ComputeSkinningTransforms(code), points, code)
-        frames.append(np.array(points, dtype=float))
-    return np.array(frames)
+    flesh = read_points(stage.GetPrimAtPath(f"{BODY}/Skin"), codes)
+    return Shown(flesh, pose_points(shot, BODY, codes), planks)
 
 
 def speed(points: np.ndarray) -> float:

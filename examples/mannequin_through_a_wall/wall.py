@@ -12,6 +12,7 @@ import trimesh
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from plait.assets import generate, mannequin
+from plait.assets.stages import author_parameters
 
 FIRST, RATE = 1.0, generate.RATE
 SAMPLES_PER_FRAME = 2
@@ -57,7 +58,8 @@ def write(path: Path, frames: int, flesh: float, foam: float, rows: tuple[int, .
         generate.author_ground(stage)
         walk = mannequin.straight_walk(STEPS, stride=75.0, period=0.46)
         place = generate.WORLD.AppendChild("Mannequin")
-        _set(mannequin.author(stage, place, mannequin.AVERAGE, codes, walk), {**FLESH, "tetEdge": flesh})
+        skin = mannequin.author(stage, place, mannequin.AVERAGE, codes, walk)
+        author_parameters(skin.GetPrim(), {**FLESH, "tetEdge": flesh})
         height = (HIGH - LOW) / ROWS
         for row in rows:
             seam = SEAM if row % 2 else -SEAM
@@ -65,7 +67,7 @@ def write(path: Path, frames: int, flesh: float, foam: float, rows: tuple[int, .
             for side, ends in (("Left", (seam, HALF_WIDTH)), ("Right", (-HALF_WIDTH, seam))):
                 shape = Box(ends, (low, low + height), (distance, distance + THICK))
                 plank = _plank(stage, generate.WORLD.AppendPath(f"Wall/{side}{row}"), shape, CLAY[row % 3])
-                _set(plank, {**FOAM, "tetEdge": foam})
+                author_parameters(plank.GetPrim(), {**FOAM, "tetEdge": foam}, role="flesh")
 
     generate.write(path, author, frames=(FIRST, last))
 
@@ -93,14 +95,8 @@ def _welded(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.n
 def _plank(stage: Usd.Stage, path: Sdf.Path, box: Box, colour: tuple[float, float, float]) -> UsdGeom.Mesh:
     mesh = generate.define_mesh(stage, path, box.points, box.triangles)
     mesh.CreateDisplayColorAttr([Gf.Vec3f(*colour)])
-    mesh.GetPrim().CreateAttribute("plait:role", Sdf.ValueTypeNames.Token, custom=True).Set("flesh")
     painted = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
         "plait:attachStiffness", Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex
     )
     painted.Set(Vt.FloatArray.FromNumpy(box.held.astype(np.float32)))
     return mesh
-
-
-def _set(mesh: UsdGeom.Mesh, values: dict[str, float]) -> None:
-    for name, value in values.items():
-        mesh.GetPrim().CreateAttribute(f"plait:{name}", Sdf.ValueTypeNames.Float, custom=True).Set(value)

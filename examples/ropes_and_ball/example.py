@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from pxr import Gf, Usd, UsdGeom, Vt
+from pxr import Gf, UsdGeom, Vt
 
+from plait.assets.stages import new_stage
 from plait.pipeline.preview import render_still
 from plait.solver.build import build
 from plait.solver.scene import KeyedMotion, RootBinding, Scene, Strands, Surface
@@ -91,9 +92,7 @@ def run() -> Result:
 
 def write(result: Result, path: Path) -> None:
     """All frames as a USD stage, for `plait preview` or any USD application."""
-    stage = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    stage = new_stage(path)
     stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
     stage.SetStartTimeCode(0)
     stage.SetEndTimeCode(len(result.points) - 1)

@@ -12,8 +12,9 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Usd
 
+from plait.assets.stages import frame_codes, pose_points, read_points, read_triangles
 from plait.pipeline import config, driver
 from plait.pipeline.preview import render_still
 from plait.pipeline.tetrahedra.skin import Inside
@@ -67,29 +68,15 @@ def read(cache: Path) -> list[Walker]:
     """All that walk, from the thinnest up, where they are in the world."""
     stage = Usd.Stage.Open(str(cache))
     shot = Usd.Stage.Open(str(cache.with_name("walkers_shot.usda")))
-    codes = np.arange(stage.GetStartTimeCode(), stage.GetEndTimeCode() + 1e-6)
+    codes = frame_codes(stage)
     walkers = []
     for build in SHOT["BUILDS"]:
         path, place = f"/World/{build.name}", (SHOT["PLACES"][build.name], 0.0, 0.0)
         if stage.GetPrimAtPath(path):
-            mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"{path}/Skin"))
-            points = np.array([mesh.GetPointsAttr().Get(code) for code in codes], dtype=float)
-            triangles = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
-            walkers.append(Walker(build.name, points + place, skinned(shot, path, codes) + place, triangles))
+            skin = stage.GetPrimAtPath(f"{path}/Skin")
+            points, animated = read_points(skin, codes), pose_points(shot, path, codes)
+            walkers.append(Walker(build.name, points + place, animated + place, read_triangles(skin)))
     return walkers
-
-
-def skinned(stage: Usd.Stage, path: str, codes: np.ndarray) -> np.ndarray:
-    """(frame_count, point_count, 3) where UsdSkel puts the skin of the SkelRoot at `path`, in its own space."""
-    cache, prim = UsdSkel.Cache(), stage.GetPrimAtPath(f"{path}/Skin")
-    cache.Populate(UsdSkel.Root(stage.GetPrimAtPath(path)), Usd.PrimDefaultPredicate)
-    skeleton = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath(f"{path}/Skeleton")))
-    query, frames = cache.GetSkinningQuery(prim), []
-    for code in codes:
-        points = UsdGeom.Mesh(prim).GetPointsAttr().Get()
-        query.ComputeSkinnedPoints(skeleton.ComputeSkinningTransforms(code), points, code)
-        frames.append(np.array(points, dtype=float))
-    return np.array(frames)
 
 
 def overlap(frames: np.ndarray, triangles: np.ndarray, other: np.ndarray) -> float:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Usd, UsdGeom
 
 from plait.assets import generate, mannequin
 from plait.assets.mannequin import AVERAGE, HEAVY, THIN, Build
+from plait.assets.stages import author_parameters
 
 FIRST, RATE = 1.0, generate.RATE
 SAMPLES_PER_FRAME = 2
@@ -39,8 +40,6 @@ def write(path: Path, frames: int, edge: float, builds: tuple[Build, ...] = BUIL
             place = generate.WORLD.AppendChild(build.name)
             skin = mannequin.author(stage, place, build, codes, plan, PLACES[build.name])
             held = DENSITY * (2.0 * np.pi * HELD[build.name]) ** 2
-            for name, value in {**TISSUE, "attachStiffness": held, "tetEdge": edge}.items():
-                attribute = skin.GetPrim().CreateAttribute(f"plait:{name}", Sdf.ValueTypeNames.Float, custom=True)
-                attribute.Set(value)
+            author_parameters(skin.GetPrim(), {**TISSUE, "attachStiffness": held, "tetEdge": edge})
 
     generate.write(path, author, frames=(FIRST, last))
