@@ -37,75 +37,6 @@ class Normals:
 
 
 @dataclass(frozen=True)
-class Stencil:
-    """Each authored point as a weighted sum of simulated points.
-
-    points: (authored point count, 4) int32.  weights: (authored point count, 4) float64, rows sum to one.
-    """
-
-    points: np.ndarray
-    weights: np.ndarray
-
-
-@dataclass(frozen=True)
-class PrimOutput:
-    """How a prim gets its simulated points back.
-
-    world_to_local: time [s] -> (4, 4) float64, column vectors, from scene world [m] to the prim's own space
-        [stage units].
-    skinned: the prim has a UsdSkel binding, which the result must switch off.
-    """
-
-    prim_path: str
-    world_to_local: Callable[[float], np.ndarray]
-    skinned: bool = field(default=False, kw_only=True)
-
-    @property
-    def point_count(self) -> int:
-        """How many points the prim has as authored."""
-        raise NotImplementedError
-
-    @property
-    def has_normals(self) -> bool:
-        """Whether the result refreshes authored normals."""
-        raise NotImplementedError
-
-
-@dataclass(frozen=True)
-class CurveOutput(PrimOutput):
-    """How one `Strands` of the scene goes back to its BasisCurves prim.
-
-    strands: index into `Scene.strands`.
-    point_map: (authored point count,) int32: the simulated point that each authored point takes its place from;
-        authored points that were collapsed (repeated ends) share one.
-    widths: (authored point count,) float64 [stage units] as they apply to points, for `extent`.
-    stencil: how authored points follow from several simulated ones, where they are not points of the curve
-        (Bezier handles); None where `point_map` says all.
-    normals: authored ones, which are to be refreshed; None for none, or none that can be.
-    """
-
-    strands: int
-    point_map: np.ndarray
-    widths: np.ndarray
-    stencil: Stencil | None = None
-    normals: Normals | None = None
-
-    @property
-    def point_count(self) -> int:
-        return len(self.point_map)
-
-    @property
-    def has_normals(self) -> bool:
-        return self.normals is not None
-
-    def drawn(self, simulated: np.ndarray) -> np.ndarray:
-        """(authored point count, 3), points or velocities, from those of the prim's simulated points (n, 3)."""
-        if self.stencil is None:
-            return simulated[self.point_map]
-        return np.einsum("ns,nsd->nd", self.stencil.weights, simulated[self.stencil.points])
-
-
-@dataclass(frozen=True)
 class MeshNormals:
     """Authored normals of a mesh, each carried by the triangles about it that it is drawn with.
 
@@ -124,30 +55,76 @@ class MeshNormals:
 
 
 @dataclass(frozen=True)
+class Stencil:
+    """Each authored point as a weighted sum of simulated points.
+
+    points: (authored point count, 4) int32.  weights: (authored point count, 4) float64, rows sum to one.
+    """
+
+    points: np.ndarray
+    weights: np.ndarray
+
+
+@dataclass(frozen=True)
+class PrimOutput:
+    """How a prim gets its simulated points back.
+
+    world_to_local: time [s] -> (4, 4) float64, column vectors, from scene world [m] to the prim's own space
+        [stage units].
+    point_map: (authored point count,) int32: the simulated point that each authored point takes its place from.
+    skinned: the prim has a UsdSkel binding, which the result must switch off.
+    normals: authored ones, which are to be refreshed; None for none, or none that can be.
+    """
+
+    prim_path: str
+    world_to_local: Callable[[float], np.ndarray]
+    point_map: np.ndarray = field(kw_only=True)
+    skinned: bool = field(default=False, kw_only=True)
+    normals: Normals | MeshNormals | None = field(default=None, kw_only=True)
+
+    @property
+    def point_count(self) -> int:
+        """How many points the prim has as authored."""
+        return len(self.point_map)
+
+
+@dataclass(frozen=True)
+class CurveOutput(PrimOutput):
+    """How one `Strands` of the scene goes back to its BasisCurves prim.
+
+    strands: index into `Scene.strands`.
+    point_map: authored points that were collapsed (repeated ends) share a simulated one.
+    widths: (authored point count,) float64 [stage units] as they apply to points, for `extent`.
+    stencil: how authored points follow from several simulated ones, where they are not points of the curve
+        (Bezier handles); None where `point_map` says all.
+    """
+
+    strands: int
+    widths: np.ndarray
+    stencil: Stencil | None = None
+    normals: Normals | None = field(default=None, kw_only=True)
+
+    def drawn(self, simulated: np.ndarray) -> np.ndarray:
+        """(authored point count, 3), points or velocities, from those of the prim's simulated points (n, 3)."""
+        if self.stencil is None:
+            return simulated[self.point_map]
+        return np.einsum("ns,nsd->nd", self.stencil.weights, simulated[self.stencil.points])
+
+
+@dataclass(frozen=True)
 class MeshOutput(PrimOutput):
     """How a `TetBody` of the scene goes back to the Mesh that is its skin, or the TetMesh whose nodes it has.
 
     body: index into `Scene.bodies`.
-    point_map: (authored point count,) int32: the point of the body's skin (`of_nodes`: the node) that each
-        authored point takes its place from; -1 for those that `loose` places.
+    point_map: points of the body's skin (`of_nodes`: nodes); -1 for those that `loose` places.
     loose: points of the prim that no face or tet holds, or all of a mesh that is drawn in another's tets, and
         where they lie in these.
-    normals: authored ones, which are to be refreshed; None for none, or none that can be.
     """
 
     body: int
-    point_map: np.ndarray
     of_nodes: bool = False
     loose: Embedded | None = None
-    normals: MeshNormals | None = None
-
-    @property
-    def point_count(self) -> int:
-        return len(self.point_map)
-
-    @property
-    def has_normals(self) -> bool:
-        return self.normals is not None
+    normals: MeshNormals | None = field(default=None, kw_only=True)
 
     def drawn(self, skin: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         """(authored point count, 3), points or velocities, from those of the body's skin and of its nodes."""

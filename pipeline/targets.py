@@ -45,7 +45,7 @@ def prim_target(prim: Usd.Prim, output: PrimOutput) -> Target:
     """
     attributes, stale = ["points", "velocities", "extent"], ["accelerations", "primvars:normals:indices"]
     normals = [name for name in ("primvars:normals", "normals") if _authored(prim, name)]
-    if output.has_normals:
+    if output.normals is not None:
         attributes.append(normals[0] if normals else "normals")
     else:
         stale += normals

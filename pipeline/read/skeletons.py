@@ -244,10 +244,32 @@ def read_blend_shapes(
     if not query.HasBlendShapes() or not animation:
         return None
     shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
+    mapper = query.GetBlendShapeMapper()
+
+    def weights(code: float) -> np.ndarray:
+        result = np.zeros(shapes.GetNumSubShapes())
+        authored = animation.ComputeBlendShapeWeights(code)
+        authored = mapper.Remap(authored) if mapper else authored
+        sub_weights, _, sub_shapes = shapes.ComputeSubShapeWeights(authored)
+        np.add.at(result, np.array(sub_shapes, dtype=np.int64), np.array(sub_weights, dtype=np.float64))
+        if not np.all(np.isfinite(result)):
+            raise source.error(
+                f"is not finite at time code {code:g}",
+                animation.GetPrim(),
+                "blendShapeWeights",
+                "author finite numbers",
+            )
+        return result
+
+    return _sub_shapes(source, prim, shapes, point_count, linear), weights
+
+
+def _sub_shapes(
+    source: Source, prim: Usd.Prim, shapes: UsdSkel.BlendShapeQuery, point_count: int, linear: np.ndarray
+) -> BlendShapes:
     indices, offsets = shapes.ComputeBlendShapePointIndices(), shapes.ComputeSubShapePointOffsets()
-    count = shapes.GetNumSubShapes()
     runs, all_points, all_offsets = [0], [], []
-    for k in range(count):
+    for k in range(shapes.GetNumSubShapes()):
         moved = np.array(offsets[k], dtype=np.float64).reshape(-1, 3)
         own = np.array(indices[shapes.GetBlendShapeIndex(k)], dtype=np.int64)
         if not len(own) or not len(moved):  # All points move, or (the shape at weight zero) none.
@@ -269,26 +291,8 @@ def read_blend_shapes(
         all_points.append(own)
         all_offsets.append(moved @ linear.T)
         runs.append(runs[-1] + len(own))
-    held = BlendShapes(
+    return BlendShapes(
         np.array(runs, dtype=np.int32),
         np.concatenate(all_points).astype(np.int32) if all_points else np.zeros(0, np.int32),
         np.concatenate(all_offsets) if all_offsets else np.zeros((0, 3)),
     )
-    mapper = query.GetBlendShapeMapper()
-
-    def weights(code: float) -> np.ndarray:
-        result = np.zeros(count)
-        authored = animation.ComputeBlendShapeWeights(code)
-        authored = mapper.Remap(authored) if mapper else authored
-        sub_weights, _, sub_shapes = shapes.ComputeSubShapeWeights(authored)
-        np.add.at(result, np.array(sub_shapes, dtype=np.int64), np.array(sub_weights, dtype=np.float64))
-        if not np.all(np.isfinite(result)):
-            raise source.error(
-                f"is not finite at time code {code:g}",
-                animation.GetPrim(),
-                "blendShapeWeights",
-                "author finite numbers",
-            )
-        return result
-
-    return held, weights

@@ -55,7 +55,7 @@ def estimate(source: Source, body: Body, given: Given) -> Tissue:
         none.astype(bool),
         none,
     )
-    output = MeshOutput(body.path, WorldToLocal(source, body.prim), -1, body.welded)
+    output = MeshOutput(body.path, WorldToLocal(source, body.prim), -1, point_map=body.welded)
     count = 0
     if not is_tet_mesh(body.prim) and "tetMesh" not in given:
         count = _about(body.surface, given)

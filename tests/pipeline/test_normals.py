@@ -59,7 +59,7 @@ def test_they_stay_across_the_hair_in_sheared_space():
     transform[:3, :3] = rng.normal(size=(3, 3)) + 3 * np.eye(3)
     tangent = np.array([0.0, 0.6, 0.8])
     normal = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
-    output = CurveOutput("/hair", lambda _: transform, 0, np.arange(2), np.zeros(2))
+    output = CurveOutput("/hair", lambda _: transform, 0, np.zeros(2), point_map=np.arange(2))
     local = prim_frame(output, np.array([np.zeros(3), tangent]), np.zeros((2, 3)), 0.0, normals=normal)
     along = local.points[1] - local.points[0]
     np.testing.assert_allclose(
@@ -96,7 +96,12 @@ def test_a_turned_root_turns_the_normals_of_hair_at_rest(axis):
     )
     values = np.array([[0.0, 0.6, 0.8], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
     output = CurveOutput(
-        "/hair", lambda _: np.eye(4), 0, np.arange(6), np.zeros(6), normals=Normals(values, np.array([0, 2, 4]))
+        "/hair",
+        lambda _: np.eye(4),
+        0,
+        np.zeros(6),
+        point_map=np.arange(6),
+        normals=Normals(values, np.array([0, 2, 4])),
     )
     info = StageInfo("made.usda", 1.0, "Y", 24.0, 24.0, 0.0, 36.0)
     scene = Scene((scalp,), (hair,), gravity=np.zeros(3))

@@ -322,7 +322,7 @@ def test_other_meshes_of_a_deformable_body_are_drawn_in_its_tets(api_on: str, re
     matrix = np.array([[1.0, 0.2, 0.0], [0.0, 1.5, 0.1], [0.3, 0.0, 0.8]])
     drawn = output.drawn(surface.points @ matrix.T, body.nodes @ matrix.T)
     np.testing.assert_allclose(drawn, (0.1 * POINTS + 0.25) @ matrix.T, atol=FLOAT32)
-    assert output.has_normals
+    assert output.normals is not None
     look_report = next(prim for prim in shot.prims if prim.path == "/Body/Look")
     assert look_report.role == "flesh" and "/Body/Blob" in look_report.recognised
 

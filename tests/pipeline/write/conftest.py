@@ -75,8 +75,8 @@ def shot_of(
                 name,
                 lambda _: np.eye(4),
                 index,
-                np.arange(count, dtype=np.int32),
                 np.full(count, WIDTH),
+                point_map=np.arange(count, dtype=np.int32),
                 skinned=name in skinned,
                 normals=Normals(np.eye(3)[np.full(count, 2)], np.zeros(count, np.int64)) if has_normals else None,
             )
