@@ -15,6 +15,7 @@ from plait.pipeline.read.extents import Neighbourhood
 from plait.pipeline.read.gravity import read_gravity
 from plait.pipeline.read.motions import WorldToLocal
 from plait.pipeline.read.normals import read_normals
+from plait.pipeline.read.parameter_table import COLLIDER, FLESH, STRANDS
 from plait.pipeline.read.polygons import mesh_sizes
 from plait.pipeline.read.roles import Role
 from plait.pipeline.read.roots import Rooted, find_roots
@@ -55,7 +56,13 @@ class _Groom:
     role: Role
     curves: drawn.Curves
     lines: drawn.Polylines
+    given: parameters.Given
     rooted: Rooted | None = None
+
+    @property
+    def free(self) -> np.ndarray:
+        """(strand_count,) bool, strands that nothing holds at their roots."""
+        return np.broadcast_to(self.given["free"], len(self.curves.counts))[self.lines.curves]
 
 
 class _Reader:
@@ -111,7 +118,8 @@ class _Reader:
                 )
             if drawn.are_guides(role.prim):
                 self.source.warn("marked as guides; nothing else is interpolated from them yet", role.prim)
-            grooms.append(_Groom(role, curves, lines))
+            given = parameters.resolve(self.source, role.prim, STRANDS, self.config)
+            grooms.append(_Groom(role, curves, lines, given))
         return grooms
 
     def _origin(self, grooms: list[_Groom]) -> np.ndarray:
@@ -133,10 +141,10 @@ class _Reader:
         return np.round(0.5 * (low + high) * self.source.units.meters_per_unit) + 0.0
 
     def _strands(self, groom: _Groom, surfaces: list[Surface]) -> Strands:
-        given = parameters.resolve(self.source, groom.role.prim, parameters.STRANDS, self.config)
         surface = next(i for i, s in enumerate(surfaces) if s.name == groom.rooted.surface.name)
         binding = RootBinding(surface, groom.rooted.triangle, groom.rooted.barycentric)
-        return strands.build(self.source, groom.curves, groom.lines, groom.rooted, binding, given)
+        free = groom.free if groom.free.any() else None
+        return strands.build(self.source, groom.curves, groom.lines, groom.rooted, binding, groom.given, free)
 
     def _output(self, groom: _Groom, index: int) -> CurveOutput:
         prim, curves = groom.role.prim, groom.curves
@@ -173,7 +181,7 @@ class _Reader:
                 raise self.source.error(
                     "has no triangle with an area", role.prim, "faceVertexIndices", "give the flesh a surface"
                 )
-            given = parameters.resolve(self.source, role.prim, parameters.FLESH, self.config)
+            given = parameters.resolve(self.source, role.prim, FLESH, self.config)
             tissue = self._tissue(body, given)
             friction = given["friction"] if "friction" in given else None
             tissues[body.path] = tissue.placed(len(tissues), given["clearance"], friction)
@@ -220,7 +228,8 @@ class _Reader:
         for groom in grooms:
             named = self._named_skins(groom.role.prim)
             binding = self.skeletons.find(groom.role.prim)
-            candidates = named if named is not None else self._candidates(groom)
+            # What is free grows on nothing: it starts where its own prim is, unless a skin is named.
+            candidates = named if named is not None else [] if groom.free.all() else self._candidates(groom)
             groom.rooted = find_roots(
                 self.source, groom.curves, groom.lines, binding, candidates, named is not None
             )
@@ -282,7 +291,7 @@ class _Reader:
         return [body for body in bodies if body is not None]
 
     def _with_contact(self, body: Body) -> Surface:
-        given = parameters.resolve(self.source, body.prim, parameters.COLLIDER, self.config)
+        given = parameters.resolve(self.source, body.prim, COLLIDER, self.config)
         return replace(
             body.surface, thickness=given["clearance"], friction=given["friction"] if "friction" in given else None
         )
@@ -311,6 +320,9 @@ class _Reader:
             sizes = mesh_sizes(prim, self.source)
         if path in tissues:
             sizes |= tissues[path].sizes
+        roots = groom.rooted.how if groom else ""
+        if groom and groom.free.any():
+            roots = f"{int(groom.free.sum())} of {len(groom.free)} strands are free; {roots}"
         return PrimReport(
             path=path,
             type_name=str(prim.GetTypeName()),
@@ -319,5 +331,5 @@ class _Reader:
             sizes=sizes,
             reason=reason,
             supported=role.supported,
-            roots=groom.rooted.how if groom else "",
+            roots=roots,
         )

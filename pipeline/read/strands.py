@@ -31,6 +31,7 @@ def build(
     rooted: Rooted,
     binding: RootBinding,
     given: Given,
+    free: np.ndarray | None,
 ) -> Strands:
     """The groom in the scene."""
     WorldToLocal(source, curves.prim)(source.start / source.units.time_codes_per_second)
@@ -55,6 +56,9 @@ def build(
         friction=np.full(count, given["friction"]),
         rest_shape=given["restShape"],
         rest_transform=rooted.rest_to_world,
+        thickness=given["clearance"],
+        pic_fraction=given["picFraction"],
+        free=free,
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from plait.pipeline import cli
 from plait.pipeline.config import Config
-from plait.pipeline.read import parameters
+from plait.pipeline.read import parameter_table
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
@@ -52,7 +52,7 @@ def test_every_setting_has_a_row_with_its_default(key, default):
 
 
 def test_the_parameter_table_is_the_one_reading_uses():
-    assert parameters.as_markdown().strip() in README
+    assert parameter_table.as_markdown().strip() in README
 
 
 def test_pictures_and_files_named_exist():

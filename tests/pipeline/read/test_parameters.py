@@ -7,7 +7,7 @@ import pytest
 
 from plait.pipeline.config import Config
 from plait.pipeline.errors import UsageError
-from plait.pipeline.read import parameters
+from plait.pipeline.read import parameter_table, parameters
 from plait.pipeline.read.strands import EARTH, LOCK_GRAVITY_NUMBER
 
 HAIR = """
@@ -101,6 +101,16 @@ def test_what_is_drawn_thicker_than_hair_hangs_like_a_lock(read) -> None:
     np.testing.assert_allclose(stiff.bend_stiffness, 4e9 * np.pi * 0.1**4 / 4, rtol=1e-6)
 
 
+def test_contact_between_strands(read) -> None:
+    """Distance kept in the stage's lengths, the grid's part without a unit; defaults where nothing is authored."""
+    plain, told = _strands(read), "float plait:clearance = 0.2\n    float plait:picFraction = 0.5"
+    assert (plain.thickness, plain.pic_fraction, plain.free) == (0.0, 0.05, None)
+    strands = _strands(read, told, meters=0.01)
+    assert strands.thickness == pytest.approx(0.002) and strands.pic_fraction == 0.5
+    np.testing.assert_allclose(strands.radius, 0.5e-6, rtol=1e-6)  # the diameter is another parameter
+    assert _strands(read, told, parameters={"picFraction": 0.25}).pic_fraction == 0.25
+
+
 def test_rest_shape(read) -> None:
     assert _strands(read).rest_shape == "sagfree"
     assert _strands(read, 'token plait:restShape = "authored"').rest_shape == "authored"
@@ -142,10 +152,12 @@ def test_a_pattern_that_matches_nothing_is_told(read) -> None:
     assert any("/Beard*" in warning for warning in shot.warnings)
 
 
-@pytest.mark.parametrize("parameter", parameters.PARAMETERS, ids=lambda p: p.name)
+@pytest.mark.parametrize("parameter", parameter_table.PARAMETERS, ids=lambda p: p.name)
 def test_every_default_is_within_its_range(parameter) -> None:
     if parameter.choices:
         assert parameter.default in parameter.choices
+    elif parameter.flag:
+        assert parameter.default in (True, False)
     elif parameter.default is not None:
         assert parameter.low <= parameter.default <= parameter.high
     else:
@@ -153,6 +165,6 @@ def test_every_default_is_within_its_range(parameter) -> None:
 
 
 def test_the_table_has_a_row_for_each() -> None:
-    lines = parameters.as_markdown().splitlines()
-    assert len(lines) == 2 + len(parameters.PARAMETERS)
+    lines = parameter_table.as_markdown().splitlines()
+    assert len(lines) == 2 + len(parameter_table.PARAMETERS)
     assert all(line.count("|") == lines[0].count("|") for line in lines)
