@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from plait.solver.grid.transfer_kernels import BLOCK, BLOCK_NODES, Grid, from_grid, to_grid
+from plait.solver.grid.transfer_kernels import BLOCK, BLOCK_NODES, Grid, from_grid, to_grid, to_grid_affine
 from plait.solver.launch import Launcher
 
 # Blocks are numbered by 21 bits a direction, from the middle.
 BITS = 21
 CORNERS = np.indices((2, 2, 2)).reshape(3, -1).T
 # Cost of a node and of a particle, in units of `Launcher.launch`.
-NODE_WORK, PARTICLE_WORK = 20, 20
+NODE_WORK, AFFINE_WORK, PARTICLE_WORK = 20, 30, 20
 
 
 class SparseGrid:
@@ -73,6 +73,12 @@ class SparseGrid:
         inputs = [self.data, mass, velocity]
         outputs = [self.mass, self.velocity]
         self._launcher.launch(to_grid, self.node_count, inputs, outputs, work_per_item=NODE_WORK)
+
+    def to_grid_affine(self, mass: wp.array, velocity: wp.array, affine: wp.array) -> None:
+        """As `to_grid`, for particles that carry v_q + C_q (x - x_q), with C in `affine`, mat33d [1/s]."""
+        inputs = [self.data, self.cell_size, mass, velocity, affine]
+        outputs = [self.mass, self.velocity]
+        self._launcher.launch(to_grid_affine, self.node_count, inputs, outputs, work_per_item=AFFINE_WORK)
 
     def from_grid(self, velocity_out: wp.array) -> None:
         """The grid's velocity at each particle, (particle_count,) vec3d [m/s]."""

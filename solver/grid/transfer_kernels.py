@@ -39,9 +39,35 @@ def spline(offset: wp.float64, node: int) -> wp.float64:
 
 
 @wp.func
+def spline_slope(offset: wp.float64, node: int) -> wp.float64:
+    """The derivative of `spline` by `offset`, [1/cells]."""
+    d = offset - wp.float64(node)
+    if node == 1:
+        return wp.float64(-2.0) * d
+    return wp.where(d < wp.float64(0.0), wp.float64(1.5) + d, d - wp.float64(1.5))
+
+
+@wp.func
 def weight_of(offset: wp.vec3d, i: int, j: int, k: int) -> wp.float64:
     """w_iq of node (i, j, k) of a particle's stencil."""
     return spline(offset[0], i) * spline(offset[1], j) * spline(offset[2], k)
+
+
+@wp.func
+def gradient_of(offset: wp.vec3d, i: int, j: int, k: int) -> wp.vec3d:
+    """The gradient of w_iq by the particle's place, [1/cells]."""
+    x = spline(offset[0], i)
+    y = spline(offset[1], j)
+    z = spline(offset[2], k)
+    return wp.vec3d(
+        spline_slope(offset[0], i) * y * z, x * spline_slope(offset[1], j) * z, x * y * spline_slope(offset[2], k)
+    )
+
+
+@wp.func
+def arm_of(offset: wp.vec3d, i: int, j: int, k: int) -> wp.vec3d:
+    """From a particle to node (i, j, k) of its stencil, [cells]."""
+    return wp.vec3d(wp.float64(i), wp.float64(j), wp.float64(k)) - offset
 
 
 @wp.func
@@ -93,6 +119,39 @@ def to_grid(
                         m = weight_of(grid.offset[q], i, j, k) * particle_mass[q]
                         mass += m
                         momentum += m * particle_velocity[q]
+    mass_out[node] = mass
+    if mass > wp.float64(0.0):
+        velocity_out[node] = momentum / mass
+    else:
+        velocity_out[node] = wp.vec3d()
+
+
+@wp.kernel
+def to_grid_affine(
+    first: int,
+    grid: Grid,
+    cell_size: wp.float64,
+    particle_mass: wp.array(dtype=wp.float64),
+    particle_velocity: wp.array(dtype=wp.vec3d),
+    particle_affine: wp.array(dtype=wp.mat33d),
+    mass_out: wp.array(dtype=wp.float64),
+    velocity_out: wp.array(dtype=wp.vec3d),
+):
+    """As `to_grid`, v_i = sum_q w_iq m_q (v_q + C_q (x_i - x_q)) / m_i (APIC, Jiang et al. 2015)."""
+    node = first + wp.tid()
+    mass = wp.float64(0.0)
+    momentum = wp.vec3d()
+    for i in range(STENCIL):
+        for j in range(STENCIL):
+            for k in range(STENCIL):
+                base = node_before(grid, node, i, j, k)
+                if base >= 0:
+                    for at in range(grid.cell_first[base], grid.cell_first[base + 1]):
+                        q = grid.particles[at]
+                        m = weight_of(grid.offset[q], i, j, k) * particle_mass[q]
+                        mass += m
+                        arm = cell_size * arm_of(grid.offset[q], i, j, k)
+                        momentum += m * (particle_velocity[q] + particle_affine[q] * arm)
     mass_out[node] = mass
     if mass > wp.float64(0.0):
         velocity_out[node] = momentum / mass

@@ -18,9 +18,9 @@ from plait.solver.grid.sparse_grid import SparseGrid
 from plait.solver.launch import Launcher
 from plait.solver.linear.block_rows import incidences
 from plait.solver.tets.layout import TetLayout
-from plait.solver.tets.rpic_kernels import Star, carry_affine, fit_gradient, from_grid_to_free
+from plait.solver.tets.rpic_kernels import Star, fit_gradient, from_grid_to_free
 
-GRADIENT_WORK, NODE_WORK, PARTICLE_WORK = 60, 30, 20
+GRADIENT_WORK, PARTICLE_WORK = 60, 20
 
 
 class RpicDamping:
@@ -49,7 +49,6 @@ class RpicDamping:
         inputs = [self._star, self._damping, mass, position, velocity]
         launch(fit_gradient, count, inputs, [self._gradient], work_per_item=GRADIENT_WORK)
         grid.place(np.asarray(position.numpy()))
-        inputs = [grid.data, grid.cell_size, mass, velocity, self._gradient]
-        launch(carry_affine, grid.node_count, inputs, [grid.velocity], work_per_item=NODE_WORK)
+        grid.to_grid_affine(mass, velocity, self._gradient)
         inputs = [grid.data, grid.velocity, pinned]
         launch(from_grid_to_free, count, inputs, [velocity], work_per_item=PARTICLE_WORK)

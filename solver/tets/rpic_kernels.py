@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from plait.solver.grid.transfer_kernels import STENCIL, Grid, node_after, node_before, weight_of
+from plait.solver.grid.transfer_kernels import STENCIL, Grid, node_after, weight_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -17,11 +17,6 @@ class Star:
     first: wp.array(dtype=wp.int32)  # (node_count + 1,)
     corner: wp.array(dtype=wp.int32)  # 4 t + a: the node is corner a of tet t
     tet: wp.array(dtype=wp.vec4i)  # (tet_count,)
-
-
-@wp.func
-def place_of(i: int, j: int, k: int) -> wp.vec3d:
-    return wp.vec3d(wp.float64(i), wp.float64(j), wp.float64(k))
 
 
 @wp.kernel
@@ -51,35 +46,6 @@ def fit_gradient(
         C = change * wp.inverse(spread)
     skew = wp.float64(0.5) * (C - wp.transpose(C))
     gradient_out[q] = (wp.float64(1.0) - damping) * C + damping * skew
-
-
-@wp.kernel
-def carry_affine(
-    first: int,
-    grid: Grid,
-    cell_size: wp.float64,
-    mass: wp.array(dtype=wp.float64),
-    velocity: wp.array(dtype=wp.vec3d),
-    gradient: wp.array(dtype=wp.mat33d),
-    velocity_out: wp.array(dtype=wp.vec3d),
-):
-    """v_i; one grid node an item."""
-    node = first + wp.tid()
-    total = wp.float64(0.0)
-    momentum = wp.vec3d()
-    for i in range(STENCIL):
-        for j in range(STENCIL):
-            for k in range(STENCIL):
-                base = node_before(grid, node, i, j, k)
-                if base >= 0:
-                    place = place_of(i, j, k)
-                    for at in range(grid.cell_first[base], grid.cell_first[base + 1]):
-                        q = grid.particles[at]
-                        m = weight_of(grid.offset[q], i, j, k) * mass[q]
-                        total += m
-                        momentum += m * (velocity[q] + cell_size * (gradient[q] * (place - grid.offset[q])))
-    if total > wp.float64(0.0):
-        velocity_out[node] = momentum / total
 
 
 @wp.kernel
