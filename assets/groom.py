@@ -88,7 +88,7 @@ def grow(roots: np.ndarray, normals: np.ndarray, random: np.random.Generator) ->
         paths.append(moved)
     grown = np.stack(paths, axis=1)
     points = resample(grown, length)
-    return settle(wave(points, roots, normals), points)
+    return settle(wave(points, roots), points)
 
 
 def hanging_places(roots: np.ndarray, side: np.ndarray) -> np.ndarray:
@@ -140,7 +140,7 @@ def resample(grown: np.ndarray, length: np.ndarray) -> np.ndarray:
     return result
 
 
-def wave(points: np.ndarray, roots: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def wave(points: np.ndarray, roots: np.ndarray) -> np.ndarray:
     """A wave that grows towards the tip; neighbours share its phase, so that locks form."""
     tangent = np.gradient(points, axis=1)
     tangent /= np.linalg.norm(tangent, axis=2, keepdims=True)

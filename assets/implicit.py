@@ -96,10 +96,10 @@ def polygonise(distance: Distance, low, high, cell: float) -> tuple[np.ndarray, 
     grid = pv.ImageData(dimensions=shape, spacing=(cell,) * 3, origin=low)
     grid.point_data["distance"] = sample_grid(distance, low, cell, shape).ravel(order="F")
     surface = grid.contour([0.0], scalars="distance", method="flying_edges")
-    return oriented(distance, np.asarray(surface.points, float), surface.faces.reshape(-1, 4)[:, 1:])
+    return oriented(np.asarray(surface.points, float), surface.faces.reshape(-1, 4)[:, 1:])
 
 
-def oriented(distance: Distance, points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def oriented(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same triangles, turned over if their normals look inwards."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     volume = np.einsum("ij,ij->", a, np.cross(b, c))

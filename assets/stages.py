@@ -30,6 +30,15 @@ def define_mesh(
     return mesh
 
 
+def add_camera(stage: Usd.Stage, path: str, place: Iterable[float], down: float) -> UsdGeom.Camera:
+    """One that looks along -Z and `down` [degrees] from it."""
+    camera = UsdGeom.Camera.Define(stage, path)
+    camera.CreateFocalLengthAttr(50.0)
+    camera.AddTranslateOp().Set(Gf.Vec3d(*place))
+    camera.AddRotateXOp().Set(-down)
+    return camera
+
+
 def author_parameters(prim: Usd.Prim, values: Mapping[str, float], role: str | None = None) -> None:
     """`plait:` attributes of a prim."""
     if role is not None:

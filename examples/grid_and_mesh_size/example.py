@@ -195,11 +195,8 @@ def write(result: Result, path: Path) -> None:
         cube.CreateSizeAttr(cell * result.edge)
         cube.AddTranslateOp().Set(Gf.Vec3d(x, -0.5 * BLOCK[1] - 0.06, 0.5 * BLOCK[2]))
         cube.CreateDisplayColorAttr([Gf.Vec3f(0.35, 0.36, 0.38)])
-    camera = UsdGeom.Camera.Define(stage, "/Camera")
-    camera.CreateFocalLengthAttr(50.0)
     middle, away = 0.5 * APART * (len(result.rests) - 1), 2.6 * APART * len(result.rests)
-    camera.AddTranslateOp().Set(Gf.Vec3d(middle, 0.04 + 0.176 * away, away))
-    camera.AddRotateXOp().Set(-10.0)
+    stages.add_camera(stage, "/Camera", (middle, 0.04 + 0.176 * away, away), 10.0)
     stage.Save()
 
 

@@ -12,7 +12,6 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, UsdGeom
 
 from plait.assets import jelly, stages
 from plait.pipeline.preview import render
@@ -136,9 +135,7 @@ def write(result: Result, path: Path) -> None:
             mesh = stages.define_mesh(stage, f"/bear_{row}_{column}", points, result.skin.triangles, colour)
             mesh.CreateDoubleSidedAttr(True)
     width, height = (2 * len(cells) + 2) * APART, (len(result.started) - 1) * APART
-    camera = UsdGeom.Camera.Define(stage, "/Camera")
-    camera.CreateFocalLengthAttr(50.0)
-    camera.AddTranslateOp().Set(Gf.Vec3d(0.5 * width - 0.5 * APART, -0.5 * height, 2.6 * width))
+    stages.add_camera(stage, "/Camera", (0.5 * width - 0.5 * APART, -0.5 * height, 2.6 * width), 0.0)
     stage.Save()
 
 

@@ -12,7 +12,7 @@ import trimesh
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
 
 from plait.assets import generate, jelly, walk
-from plait.assets.stages import author_parameters, author_roots
+from plait.assets.stages import add_camera, author_parameters, author_roots
 
 FIRST, RATE = 1.0, generate.RATE
 CENTIMETRES = 100.0
@@ -118,8 +118,5 @@ def _author_hair(stage: Usd.Stage, ball: trimesh.Trimesh, count: int) -> None:
 
 def _author_camera(stage: Usd.Stage) -> None:
     """Before the bear's face, a little above."""
-    camera = UsdGeom.Camera.Define(stage, generate.WORLD.AppendChild("Camera"))
-    camera.CreateFocalLengthAttr(50.0)
+    camera = add_camera(stage, "/World/Camera", (-1.0, 54.0, 146.0), 17.0)
     camera.CreateClippingRangeAttr(Gf.Vec2f(1.0, 1000.0))
-    camera.AddTranslateOp().Set(Gf.Vec3d(-1.0, 54.0, 146.0))
-    camera.AddRotateXOp().Set(-17.0)

@@ -116,15 +116,7 @@ def read_curves(source: Source, prim: Usd.Prim) -> Curves:
     points_attribute, counts_attribute = curves.GetPointsAttr(), curves.GetCurveVertexCountsAttr()
     counts = values.integers(source, counts_attribute)
     points = values.steady_vectors(source, points_attribute)
-    if len(counts) and counts.min() < 0:
-        raise source.error("has a negative count", prim, "curveVertexCounts", "author counts of points")
-    if counts.sum() != len(points):
-        raise source.error(
-            f"has {len(points)} points, curveVertexCounts add up to {int(counts.sum())}",
-            prim,
-            "points",
-            "make the counts fit the points",
-        )
+    values.check_sizes(source, counts_attribute, counts, points_attribute, len(points))
     if not len(points):
         raise source.error(
             "is empty", prim, "points", "author points, deactivate the prim, or plait:role = 'none'"

@@ -46,22 +46,15 @@ def read_polygons(source: Source, prim: Usd.Prim) -> Polygons:
         points, counts, indices = shapes.polygons(source, prim)
         return Polygons(points, counts, indices, np.arange(len(indices)), len(indices), False, False)
     mesh = UsdGeom.Mesh(prim)
-    for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
+    counts_attribute, indices_attribute = mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()
+    for attribute in (counts_attribute, indices_attribute):
         if attribute.ValueMightBeTimeVarying():
             raise source.error("is animated", prim, attribute.GetName(), "the topology must not change")
     points = values.steady_vectors(source, mesh.GetPointsAttr())
-    counts = values.integers(source, mesh.GetFaceVertexCountsAttr())
-    indices = values.integers(source, mesh.GetFaceVertexIndicesAttr())
-    if len(counts) and counts.min() < 0:
-        raise source.error("has a negative count", prim, "faceVertexCounts", "author counts of vertices")
-    if counts.sum() != len(indices):
-        raise source.error(
-            f"has {len(indices)} entries, faceVertexCounts add up to {int(counts.sum())}",
-            prim,
-            "faceVertexIndices",
-            "make the counts fit the indices",
-        )
-    check_indices(source, mesh.GetFaceVertexIndicesAttr(), indices, len(points))
+    counts = values.integers(source, counts_attribute)
+    indices = values.integers(source, indices_attribute)
+    values.check_sizes(source, counts_attribute, counts, indices_attribute, len(indices))
+    check_indices(source, indices_attribute, indices, len(points))
     holes = values.integers(source, mesh.GetHoleIndicesAttr())
     solid = (counts >= 3) & ~np.isin(np.arange(len(counts)), holes)
     # Faces keep their numbers (skinprim counts them): one that is left out keeps no vertices.

@@ -44,6 +44,18 @@ def check_count(source: Source, attribute: Usd.Attribute, code: float, found: np
         )
 
 
+def check_sizes(
+    source: Source, sizes: Usd.Attribute, counts: np.ndarray, entries: Usd.Attribute, count: int
+) -> None:
+    """Raises InputError unless `counts`, of the attribute `sizes`, divide the `count` values of `entries`."""
+    prim = entries.GetPrim()
+    if len(counts) and counts.min() < 0:
+        raise source.error("has a negative count", prim, sizes.GetName(), "author counts from 0 up")
+    if counts.sum() != count:
+        problem = f"has {count} entries, {sizes.GetName()} add up to {int(counts.sum())}"
+        raise source.error(problem, prim, entries.GetName(), "make the counts fit them")
+
+
 def scalars(source: Source, attribute: Usd.Attribute, code: float | None = None) -> np.ndarray:
     """An array of numbers, (n,) float64; empty where nothing is authored. Raises InputError as `vectors` does."""
     value = array(source, attribute, code)

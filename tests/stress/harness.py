@@ -54,12 +54,6 @@ def random_unit(random: np.random.Generator) -> np.ndarray:
     return held / np.linalg.norm(held)
 
 
-def turn(axis: np.ndarray, angle: float) -> np.ndarray:
-    """(3, 3) rotation, Rodrigues."""
-    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
-
-
 def scene_of(
     shapes: list[np.ndarray],
     fibre: Fibre | Sequence[Fibre] = DAMPED_HAIR,

@@ -10,6 +10,7 @@ import pytest
 from plait.pipeline.benchmarks.scenes import Fibre, FormulaMotion, shaking, translation
 from plait.solver.scene import RestShape
 
+from ..solver.tets.lattices import turn
 from .harness import (
     DAMPED_HAIR,
     FRAME,
@@ -22,7 +23,6 @@ from .harness import (
     random_unit,
     scene_of,
     seeds,
-    turn,
 )
 
 STRANDS = 20

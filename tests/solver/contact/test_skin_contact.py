@@ -9,7 +9,7 @@ import pytest
 
 from plait.solver.scene import Scene
 
-from ..tets.lattices import box_body, box_lattice, placed, tet_body
+from ..tets.lattices import box_body, box_lattice, placed, tet_body, turn
 from .explicit import Explicit
 
 # Grid cells per edge of the tets.
@@ -23,10 +23,7 @@ def boxes(*specs: dict, gravity: float = 0.0) -> Scene:
 
 
 def turned(axis: tuple[float, float, float], degrees: float) -> np.ndarray:
-    k = np.array(axis) / np.linalg.norm(axis)
-    cross = np.array([[0, -k[2], k[1]], [k[2], 0, -k[0]], [-k[1], k[0], 0]])
-    angle = np.radians(degrees)
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    return turn(np.array(axis) / np.linalg.norm(axis), np.radians(degrees))
 
 
 def edge(scene: Scene) -> float:

@@ -128,6 +128,12 @@ def placed(
     return transform
 
 
+def turn(axis: np.ndarray, angle: float) -> np.ndarray:
+    """(3, 3) rotation about a unit axis, Rodrigues."""
+    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+
+
 def keyed(times: list[float], transforms: list[np.ndarray]) -> KeyedMotion:
     """A rigid motion through (4, 4) transforms at `times` [s]."""
     return KeyedMotion(np.array(times), np.array(transforms)[:, None])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from plait.assets.jelly import off_shape
 from plait.pipeline.flesh import fill
 from plait.solver.build import build
 from plait.solver.scene import Pose, Scene, Skinning, Surface, TetBody
@@ -70,14 +71,6 @@ def put(simulation: Simulation, position: np.ndarray) -> None:
         arrays[f"tets/{name}"].assign(position)
 
 
-def deviation(nodes: np.ndarray, rest: np.ndarray) -> float:
-    """The largest distance of a node from where the best placed rest shape has it, by that shape's diagonal."""
-    centre, about = nodes.mean(axis=0), rest - rest.mean(axis=0)
-    u, _, vt = np.linalg.svd((nodes - centre).T @ about)
-    turned = about @ (u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt).T
-    return float(np.linalg.norm(nodes - centre - turned, axis=1).max() / diagonal(rest))
-
-
 def diagonal(rest: np.ndarray) -> float:
     return float(np.linalg.norm(np.ptp(rest, axis=0)))
 
@@ -106,7 +99,7 @@ def recover(
     for frame in range(frames):
         metrics = simulation.advance_frame((frame + 1) * FRAME)["tets"]
         tangles += metrics["tangles"]
-        left = deviation(stage.nodes(0), nodes)
+        left = off_shape(nodes, stage.nodes(0))
         if left < goal:
             break
     simulation.close()
@@ -227,7 +220,7 @@ def crush(cells: int) -> tuple[float, float]:
         simulation.advance_frame((frame + 1) * FRAME)
         nodes = stage.nodes(0)
         height = min(height, np.ptp(nodes[:, 1]))
-        left = deviation(nodes, body.nodes)
+        left = off_shape(body.nodes, nodes)
         if frame > 24 and left < 0.5 * PROMISE:
             break
     simulation.close()
