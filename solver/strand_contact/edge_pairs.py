@@ -1,0 +1,275 @@
+"""Which edges of the strands may meet in a substep: host side of the broad phase."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from plait.solver.launch import Launcher
+from plait.solver.strand_contact.edge_pair_kernels import (
+    RUN,
+    Boxes,
+    Columns,
+    Edges,
+    Entries,
+    Motion,
+    Search,
+    StrandBoxes,
+    bound_strands,
+    count_entries,
+    count_partners,
+    end_runs,
+    find_furthest,
+    gather_entries,
+    list_partners,
+    number_pairs,
+    write_entries,
+)
+from plait.solver.strands.layout import Layout
+
+# The common motion is fitted to about so many nodes, evenly chosen.
+SAMPLES = 256
+# A common turn larger than this [rad] is left in: distances seen in the turning frame would widen much.
+LARGEST_TURN = 1.0
+# A column is so many mean boxes wide.
+COLUMN = 2.0
+# Places of the table of columns, and bits of a key, which must stay positive.
+LARGEST_TABLE_BITS, KEY_BITS = 17, 31
+# Comparisons of strands' boxes a strand, beyond which what has met none is taken as near.
+ROUNDS = 64
+# Costs in units of `Launcher.launch`.
+BOUND_WORK, ENTER_WORK, SEARCH_WORK, NUMBER_WORK = 3, 3, 10, 5
+
+
+class EdgePairs:
+    """Pairs of edges, a before b, that may come near each other while nodes move linearly from start to end.
+
+    Every pair of edges that at any time of that motion is nearer than reach_a + reach_b + margin is found, and
+    none whose swept boxes, so padded and seen in a frame that moves with the strands, are apart; a common motion,
+    however large, costs nothing. An edge's reach is the larger of its nodes'. No pairs are:
+    - edges next to each other in their strand, and those with less strand than reach_a + reach_b between them;
+    - edges of one strand that is nearly straight from the one to the other, at the start and at the end;
+    - edges whose four nodes are all prescribed.
+
+    count: pairs found by the last `find`.  pairs: (count,) vec2i, edges (a, b), sorted by a, then b.
+    first: (node_count + 1,) int32 and incident: (2 count,) int32: the pairs of edge k are incident[i] // 2 for i
+    from first[k] to first[k + 1] - 1, in the order of the other edge; incident[i] % 2 is k's side in the pair.
+    near: (strand_count,) bool, strands with any pair.
+    """
+
+    def __init__(
+        self, launcher: Launcher, layout: Layout, reach: np.ndarray, prescribed: np.ndarray | None = None
+    ) -> None:
+        """reach: (node_count,) [m] half distances: edges interact below the sum of theirs.
+
+        prescribed: (node_count,) bool, nodes that nothing moves; None: ghosts and roots.
+        """
+        self._launcher = launcher
+        self._first_node = layout.first_node
+        self._node_count, self._strand_count = layout.node_count, layout.strand_count
+        self._edges = self._hold_edges(layout, reach, prescribed)
+        self._boxes, self._strand_boxes = Boxes(), StrandBoxes()
+        for boxes, count in ((self._boxes, self._node_count), (self._strand_boxes, self._strand_count)):
+            # Slots that are no edge keep an empty box.
+            boxes.lower = self._full(count, wp.vec3f, 1.0)
+            boxes.upper = self._full(count, wp.vec3f, -1.0)
+        self._strand_boxes.extent = self._full(self._strand_count, wp.vec3f)
+        self._strand_boxes.turning = self._full(self._strand_count, wp.int32)
+        self._buffers: dict[str, wp.array] = {}
+        self._node_counts = [self._full(self._node_count + 1, wp.int32) for _ in range(2)]
+        self.first = self._full(self._node_count + 1, wp.int32)
+        self._first_entry = self._full(self._node_count + 1, wp.int32)
+        self._first_pair = self._full(self._node_count + 1, wp.int32)
+        self._clear()
+
+    def find(self, start: wp.array, end: wp.array, margin: float) -> bool:
+        """Finds the pairs of a motion; whether there are any. One launch if no strand is near another or itself.
+
+        start, end: (node_count,) vec3d [m] world.  margin: [m], beyond the sum of the reaches.
+        """
+        motion = _common_motion(start, end, 0.5 * margin)
+        inputs = [self._edges, start, end, motion]
+        work = BOUND_WORK * max(1, self._node_count // self._strand_count)
+        self._launcher.launch(
+            bound_strands, self._strand_count, inputs, [self._boxes, self._strand_boxes], work_per_item=work
+        )
+        near = self._strands_in_reach()
+        if not near.any():
+            self._clear()
+            return False
+        columns = self._lay_columns(near)
+        search = Search()
+        search.edges, search.columns, search.start, search.end = self._edges, columns, start, end
+        search.entries, search.entry_count = self._enter(columns, near)
+        return self._collect(search)
+
+    # -- which strands -------------------------------------------------------------------------------------
+
+    def _strands_in_reach(self) -> np.ndarray:
+        """(strand_count,) bool: whose box meets another's, or who may meet themselves."""
+        lower, upper = self._strand_boxes.lower.numpy(), self._strand_boxes.upper.numpy()
+        near = self._strand_boxes.turning.numpy() > 0
+        axis = int(np.argmax(np.ptp(lower, axis=0)))
+        order = np.argsort(lower[:, axis], kind="stable")
+        lower, upper = lower[order], upper[order]
+        met = near[order]
+        left = np.arange(self._strand_count)
+        for step in range(1, min(ROUNDS, self._strand_count) + 1):
+            left = left[left + step < self._strand_count]
+            left = left[upper[left, axis] >= lower[left + step, axis]]
+            if len(left) == 0:
+                break
+            asked = left[~(met[left] & met[left + step])]
+            meets = np.all((lower[asked] <= upper[asked + step]) & (lower[asked + step] <= upper[asked]), axis=1)
+            met[asked[meets]] = met[asked[meets] + step] = True
+        # Those with more in their way along the axis than was looked at are taken as near, and so is all of that.
+        for strand in left:
+            met[strand : np.searchsorted(lower[:, axis], upper[strand, axis], side="right")] = True
+        near[order] = met
+        return near
+
+    # -- the search ----------------------------------------------------------------------------------------
+
+    def _lay_columns(self, near: np.ndarray) -> Columns:
+        """Columns across the longest side of what is near, about two boxes wide."""
+        boxes = self._strand_boxes
+        lower = boxes.lower.numpy()[near].min(axis=0)
+        size = np.maximum(boxes.upper.numpy()[near].max(axis=0) - lower, np.finfo(np.float32).tiny)
+        edge_count = (np.diff(self._first_node) - 2)[near].sum()
+        mean = boxes.extent.numpy()[near].sum(axis=0, dtype=float) / edge_count
+        sweep = int(np.argmax(size))
+        across = [axis for axis in range(3) if axis != sweep]
+        width = np.maximum(COLUMN * mean[across], 1e-6 * size[across])
+        bits = np.ceil(np.log2(size[across] / width + 1.0)).astype(int)
+        while bits.sum() > LARGEST_TABLE_BITS:
+            bits[np.argmax(bits)] -= 1
+        columns = Columns()
+        columns.across, columns.sweep = wp.vec2i(*across), sweep
+        columns.origin = wp.vec3f(*(float(x) for x in lower))
+        columns.per_column = wp.vec2f(*(float(1.0 / w) for w in width))
+        columns.bits = wp.vec2i(*(int(b) for b in bits))
+        columns.sweep_bits = min(20, KEY_BITS - int(bits.sum()))
+        columns.per_step = float(2.0**columns.sweep_bits / size[sweep])
+        return columns
+
+    def _enter(self, columns: Columns, near: np.ndarray) -> tuple[Entries, int]:
+        """The edges of strands that are near, in their columns, sorted."""
+        launch, nodes = self._launcher.launch, self._node_count
+        counts = self._node_counts[0]
+        flags = wp.array(near.astype(np.int32), dtype=wp.int32, device=self._launcher.device)
+        inputs = [columns, self._edges.strand, flags, self._boxes]
+        launch(count_entries, nodes, inputs, [counts], work_per_item=ENTER_WORK)
+        count = _scan(counts, self._first_entry)
+        entries = Entries()
+        entries.first = self._first_entry
+        entries.key = self._buffer("key", wp.int32, 2 * count)  # sorting takes twice the room
+        for name, dtype in (("edge", wp.int32), ("lower", wp.vec3f), ("upper", wp.vec3f)):
+            setattr(entries, name, self._buffer(name, dtype, count))
+        entries.furthest = self._buffer("furthest", wp.int32, count)
+        entries.place = self._buffer("place", wp.int32, count)
+        number, edge = self._buffer("number", wp.int32, 2 * count), self._buffer("entered", wp.int32, count)
+        inputs = [columns, self._boxes, self._first_entry]
+        launch(write_entries, nodes, inputs, [entries.key, number, edge], work_per_item=ENTER_WORK)
+        wp.utils.radix_sort_pairs(entries.key, number, count)
+        launch(gather_entries, count, [number, edge, self._boxes], [entries], work_per_item=ENTER_WORK)
+        runs = -(-count // RUN)
+        last = self._buffer("last", wp.int32, runs)
+        launch(end_runs, runs, [columns, count, entries], [last], work_per_item=RUN)
+        launch(find_furthest, runs, [columns, count, last], [entries], work_per_item=RUN)
+        return entries, count
+
+    def _collect(self, search: Search) -> bool:
+        """Partners counted, then listed, then numbered as pairs."""
+        launch, nodes = self._launcher.launch, self._node_count
+        inputs = [search, self._boxes]
+        launch(count_partners, nodes, inputs, self._node_counts, work_per_item=SEARCH_WORK)
+        total = _scan(self._node_counts[0], self.first)
+        self.count = _scan(self._node_counts[1], self._first_pair)
+        if self.count == 0:
+            self._clear()
+            return False
+        partner = self._buffer("partner", wp.int32, total)
+        self.pairs = self._buffer("pairs", wp.vec2i, self.count)[: self.count]
+        self.incident = self._buffer("incident", wp.int32, total)[:total]
+        launch(list_partners, nodes, [*inputs, self.first], [partner], work_per_item=SEARCH_WORK)
+        inputs = [self.first, partner, self._first_pair]
+        launch(number_pairs, nodes, inputs, [self.pairs, self.incident], work_per_item=NUMBER_WORK)
+        first = self.first.numpy()[self._first_node]
+        self.near = first[1:] > first[:-1]
+        return True
+
+    # -- memory --------------------------------------------------------------------------------------------
+
+    def _clear(self) -> None:
+        """Nothing found."""
+        self.count = 0
+        self.pairs = self._full(0, wp.vec2i)
+        self.incident = self._full(0, wp.int32)
+        self.first.zero_()
+        self.near = np.zeros(self._strand_count, dtype=bool)
+
+    def _hold_edges(self, layout: Layout, reach: np.ndarray, prescribed: np.ndarray | None) -> Edges:
+        device = self._launcher.device
+        if prescribed is None:
+            prescribed = np.zeros(self._node_count, dtype=bool)
+            prescribed[layout.first_node[:-1]] = prescribed[layout.first_node[:-1] + 1] = True
+        both, larger = prescribed.copy(), np.array(reach, dtype=float)
+        both[:-1] &= prescribed[1:]
+        larger[:-1] = np.maximum(larger[:-1], reach[1:])
+        along = np.concatenate([[0.0], np.cumsum(layout.edge_length)[:-1]])
+        edges = Edges()
+        edges.first_node = wp.array(layout.first_node, dtype=wp.int32, device=device)
+        edges.strand = wp.array(layout.node_strand, dtype=wp.int32, device=device)
+        edges.reach = wp.array(larger, dtype=wp.float64, device=device)
+        edges.along = wp.array(
+            along - along[layout.first_node[layout.node_strand]], dtype=wp.float64, device=device
+        )
+        edges.prescribed = wp.array(both.astype(np.int32), dtype=wp.int32, device=device)
+        return edges
+
+    def _buffer(self, name: str, dtype: Any, count: int) -> wp.array:
+        """Room for at least `count`; grows by halves, contents are lost."""
+        held = self._buffers.get(name)
+        if held is None or len(held) < count:
+            held = wp.empty(count + count // 2, dtype=dtype, device=self._launcher.device)
+            self._buffers[name] = held
+        return held
+
+    def _full(self, count: int, dtype: Any, value: float = 0) -> wp.array:
+        return wp.full(count, value, dtype=dtype, device=self._launcher.device)
+
+
+def _scan(counts: wp.array, first: wp.array) -> int:
+    """Running sums before each of `counts`, whose last is 0, into `first`; the whole sum."""
+    wp.utils.array_scan(counts, first, inclusive=False)
+    return int(first[-1:].numpy()[0])
+
+
+def _common_motion(start: wp.array, end: wp.array, half_margin: float) -> Motion:
+    """The rigid motion nearest the nodes' (Kabsch 1976), and how paths and distances look in its frame.
+
+    Points that move linearly to where a turn by theta takes them move as the affine map A = (1 - t) I + t R does:
+    in its frame they rest. Another point that ends e away from there moves by t A^-1 R e in the frame, which
+    leaves its chord by at most tan(theta / 2) / 2 |e|; and A shrinks no vector below cos(theta / 2) of its length.
+    """
+    stride = max(1, len(start) // SAMPLES)
+    x, y = (np.array(points[::stride].numpy()) for points in (start, end))
+    finite = np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
+    motion = Motion()
+    motion.margin = half_margin
+    motion.turn_back = wp.mat33d(np.eye(3))
+    motion.widen = 1.0
+    if not finite.any():
+        return motion
+    from_, to = x[finite].mean(axis=0), y[finite].mean(axis=0)
+    motion.from_, motion.to = wp.vec3d(*from_), wp.vec3d(*to)
+    u, _, vt = np.linalg.svd((y[finite] - to).T @ (x[finite] - from_))
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    half_turn = 0.5 * np.arccos(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0))
+    if half_turn <= 0.5 * LARGEST_TURN:
+        motion.turn_back = wp.mat33d(rotation.T)
+        motion.bulge = 0.5 * np.tan(half_turn)
+        motion.widen = 1.0 / np.cos(half_turn)
+    return motion
