@@ -159,6 +159,18 @@ def to_grid_affine(
         velocity_out[node] = wp.vec3d()
 
 
+@wp.func
+def value_at(grid: Grid, q: int, of_nodes: wp.array(dtype=wp.vec3d)) -> wp.vec3d:
+    """sum_i w_iq y_i at particle q (Han 2019 (19))."""
+    total = wp.vec3d()
+    for i in range(STENCIL):
+        for j in range(STENCIL):
+            for k in range(STENCIL):
+                weight = weight_of(grid.offset[q], i, j, k)
+                total += weight * of_nodes[node_after(grid, grid.base[q], i, j, k)]
+    return total
+
+
 @wp.kernel
 def from_grid(
     first: int,
@@ -166,12 +178,6 @@ def from_grid(
     node_velocity: wp.array(dtype=wp.vec3d),
     particle_velocity_out: wp.array(dtype=wp.vec3d),
 ):
-    """v_q = sum_i w_iq v_i (Han 2019 (19)); one particle an item."""
+    """v_q = sum_i w_iq v_i; one particle an item."""
     q = first + wp.tid()
-    total = wp.vec3d()
-    for i in range(STENCIL):
-        for j in range(STENCIL):
-            for k in range(STENCIL):
-                weight = weight_of(grid.offset[q], i, j, k)
-                total += weight * node_velocity[node_after(grid, grid.base[q], i, j, k)]
-    particle_velocity_out[q] = total
+    particle_velocity_out[q] = value_at(grid, q, node_velocity)

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from plait.solver.grid.transfer_kernels import STENCIL, Grid, node_after, weight_of
+from plait.solver.grid.transfer_kernels import Grid, value_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -59,10 +59,4 @@ def from_grid_to_free(
     """v_q of the nodes that are not pinned."""
     q = first + wp.tid()
     if pinned[q] == 0:
-        total = wp.vec3d()
-        for i in range(STENCIL):
-            for j in range(STENCIL):
-                for k in range(STENCIL):
-                    node = node_after(grid, grid.base[q], i, j, k)
-                    total += weight_of(grid.offset[q], i, j, k) * node_velocity[node]
-        velocity_out[q] = total
+        velocity_out[q] = value_at(grid, q, node_velocity)
