@@ -54,6 +54,7 @@ def totals(shot: Shot) -> dict[str, int]:
     return {
         "strands": sum(strands.strand_count for strands in scene.strands),
         "strand points": sum(len(strands.points) for strands in scene.strands),
+        "attached points": sum(len(attachment.point) for attachment in scene.attachments),
         "bodies of flesh": len(scene.bodies),
         "colliders": sum(surface.collides for surface in scene.surfaces),
         "collider triangles": sum(len(s.triangles) for s in scene.surfaces if s.collides),
@@ -95,7 +96,8 @@ def _size(prim: PrimReport) -> str:
 
 
 def _why(prim: PrimReport) -> str:
-    """How it was recognised, where its strands grow, why it is skipped or will be refused."""
+    """How it was recognised, where its strands grow, what holds them, why it is skipped or will be refused."""
     refused = "" if prim.supported else "sim refuses it without --skip-unsupported"
     roots = f"roots: {prim.roots}" if prim.roots else ""
-    return "; ".join(part for part in (prim.recognised, roots, prim.reason, refused) if part)
+    held = [f"attached: {words}" for words in prim.attachments]
+    return "; ".join(part for part in (prim.recognised, roots, *held, prim.reason, refused) if part)

@@ -151,6 +151,7 @@ class PrimReport:
     role: of `usd.md`'s table, or 'skipped'.  recognised: in words.  reason: why skipped or refused, or ''.
     supported: False for a role whose physics does not exist yet.
     sizes: e.g. {'strands': 500, 'points': 12000}.
+    roots, attachments: where its strands grow, and what holds their points besides, in words.
     """
 
     path: str
@@ -161,6 +162,7 @@ class PrimReport:
     reason: str = ""
     supported: bool = True
     roots: str = ""
+    attachments: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Closest points on triangles, for the few thousand roots of a groom. Plain numpy: nothing is compiled for it."""
+"""Closest points on triangles and among points, for a groom's roots. Plain numpy: nothing is compiled for it."""
 
 from __future__ import annotations
 
@@ -41,6 +41,35 @@ def closest_on_triangles(
         nearest[group], places[group] = near[best], place[rows, best]
         distances[group] = np.sqrt(squared[rows, best])
     return nearest, places, distances
+
+
+def nearest_points(queries: np.ndarray, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """For each query the `count` nearest of some points, nearest first, and their distances.
+
+    queries: (q, 3).  points: (p, 3), one or more.  Returns (q, k) int and (q, k), k = min(count, p). Of points
+    that are equally near those that come first are taken.
+    """
+    count = min(count, len(points))
+    nearest = np.zeros((len(queries), count), dtype=np.int64)
+    distances = np.zeros((len(queries), count))
+    todo = [(np.arange(len(queries)), np.arange(len(points)))] if len(queries) else []
+    while todo:
+        group, near = todo.pop()
+        members = queries[group]
+        middle = 0.5 * (members.min(axis=0) + members.max(axis=0))
+        reach = np.linalg.norm(members - middle, axis=1).max()
+        away = np.linalg.norm(points[near] - middle, axis=1)
+        # So many points lie no further than this from every member; rounding must not drop the last of them.
+        furthest = (np.partition(away, count - 1)[count - 1] + 2.0 * reach) * (1.0 + 1e-12)
+        near = near[away <= furthest]
+        if len(group) > LEAF:
+            todo += [(half, near) for half in _halves(queries, group)]
+            continue
+        squared = _dot(members[:, None] - points[None, near], members[:, None] - points[None, near])
+        order = np.argsort(squared, axis=1, kind="stable")[:, :count]
+        nearest[group] = near[order]
+        distances[group] = np.sqrt(np.take_along_axis(squared, order, axis=1))
+    return nearest, distances
 
 
 def groups_of(queries: np.ndarray) -> list[np.ndarray]:

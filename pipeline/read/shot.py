@@ -11,6 +11,7 @@ from pxr import Tf, Usd, UsdGeom, UsdUtils
 from plait.pipeline.config import Config
 from plait.pipeline.read import bezier, parameters, roles, strands, values
 from plait.pipeline.read import curves as drawn
+from plait.pipeline.read.attachments import NAMESPACE, Attachments, Tied, has_attachments
 from plait.pipeline.read.extents import Neighbourhood
 from plait.pipeline.read.gravity import read_gravity
 from plait.pipeline.read.motions import WorldToLocal
@@ -24,7 +25,7 @@ from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Bodies, Body
 from plait.pipeline.read.tissue import Tissue, estimate
 from plait.pipeline.shot import CurveOutput, MeshOutput, PrimReport, Shot
-from plait.solver.scene import RootBinding, Scene, Strands, Surface
+from plait.solver.scene import Attachment, RootBinding, Scene, Strands, Surface
 
 
 def read_shot(path: Path, config: Config, frames: tuple[float, float] | None = None, *, fill: bool = True) -> Shot:
@@ -58,6 +59,7 @@ class _Groom:
     lines: drawn.Polylines
     given: parameters.Given
     rooted: Rooted | None = None
+    attachments: tuple[str, ...] = ()
 
     @property
     def free(self) -> np.ndarray:
@@ -82,6 +84,7 @@ class _Reader:
         for groom in grooms:
             outputs.append(self._output(groom, len(scene_strands)))
             scene_strands.append(self._strands(groom, surfaces))
+        attachments = self._attachments(grooms, scene_strands, surfaces)
         bodies = tuple(
             replace(tissue.tets, surface=next(i for i, s in enumerate(surfaces) if s.body == index))
             for index, tissue in enumerate(tissues.values())
@@ -92,6 +95,7 @@ class _Reader:
             bodies=bodies,
             gravity=read_gravity(self.source),
             origin=self.source.origin,
+            attachments=attachments,
         )
         self._tell_of_skipped_curves()
         reports = tuple(self._report(role, carrying, grooms, tissues) for role in self.roles)
@@ -159,6 +163,27 @@ class _Reader:
             skinned=self.skeletons.find(prim) is not None,
             normals=read_normals(self.source, curves, groom.lines, groom.rooted),
         )
+
+    def _attachments(
+        self, grooms: list[_Groom], scene_strands: list[Strands], surfaces: list[Surface]
+    ) -> tuple[Attachment, ...]:
+        """Those of every groom; surfaces that only they need join `surfaces`."""
+        tied = [
+            Tied(groom.role.prim, index, held, groom.lines.point_map)
+            for index, (groom, held) in enumerate(zip(grooms, scene_strands, strict=True))
+        ]
+        hosts = {str(role.prim.GetPath()): role.rides for role in self.roles if role.rides}
+        reader = Attachments(self.source, self.bodies, surfaces, tied, hosts)
+        found: list[Attachment] = []
+        for groom in grooms:
+            attached = reader.read(groom.role.prim)
+            groom.attachments = attached.words
+            found += attached.attachments
+        simulated = [groom.role.prim for groom in grooms]
+        for role in self.roles:
+            if role.prim not in simulated and has_attachments(role.prim):
+                self.source.warn("without effect: only strands that are simulated have it", role.prim, NAMESPACE)
+        return tuple(found)
 
     def _tell_of_skipped_curves(self) -> None:
         """One line a reason: what might have been meant to be simulated and is not."""
@@ -332,4 +357,5 @@ class _Reader:
             reason=reason,
             supported=role.supported,
             roots=roots,
+            attachments=groom.attachments if groom else (),
         )

@@ -138,6 +138,7 @@ def _case(name: str, prim: str, attribute: str, *edits: tuple[str, str], **how: 
     return Malformed(name, edits, prim, attribute, **how)
 
 
+TIE = "plait:attach:tie"
 RIG, SKIN, HAIR, WALK = "/Body/Rig", "/Body/Skin", "/Hair", "/Body/Walk"
 _POINTS = "(1, 60, 1), (1, 70, 1), (1, 80, 1), (5, 60, 5), (5, 80, 5)"
 _SKIN_POINTS = "(0, 60, 0), (0, 60, 10), (10, 60, 10), (10, 60, 0)"
@@ -152,6 +153,10 @@ _UVS = "[(0.1, 0.1, 0), (0.5, 0.5, 0)]"
 
 def _hair(line: str) -> tuple[str, str]:
     return _HAIR_TYPE, f"{_HAIR_TYPE}\n    {line}"
+
+
+def _tie(line: str) -> tuple[str, str]:
+    return _hair(f"rel {TIE} = </Ball>\n    {line}")
 
 
 def _beside(text: str) -> tuple[str, str]:
@@ -293,6 +298,46 @@ CASES = (
     _case("parameter_out_of_range", "", "", config={"parameters": {"density": -1.0}}, usage=True),
     _case("parameter_of_wrong_type", "", "", config={"prim": {"/Hair*": {"damping": "much"}}}, usage=True),
     _case("parameter_choice", "", "", config={"prim": {"/Hair*": {"restShape": "straight"}}}, usage=True),
+    # attachments
+    _case("attachment_without_a_name", HAIR, "plait:attach", _hair("rel plait:attach = </Ball>")),
+    _case("attachment_is_no_relationship", HAIR, TIE, _hair("bool plait:attach:tie = true")),
+    _case("attachment_names_nothing", HAIR, TIE, _hair("rel plait:attach:tie")),
+    _case("attachment_target_missing", HAIR, TIE, _hair("rel plait:attach:tie = </Gone>")),
+    _case("attachment_to_a_material", HAIR, TIE, _hair("rel plait:attach:tie = </Keratin>")),
+    _case(
+        "attachment_to_curves_that_are_not_simulated",
+        HAIR,
+        TIE,
+        _hair("rel plait:attach:tie = </Wire>"),
+        _beside(
+            """def BasisCurves "Wire"
+{
+    int[] curveVertexCounts = [2]
+    point3f[] points = [(0, 0, 0), (0, 1, 0)]
+}"""
+        ),
+    ),
+    _case("attachment_of_an_unknown_part", HAIR, f"{TIE}:stiff", _tie("float plait:attach:tie:stiff = 3")),
+    _case(
+        "attachment_that_is_not_there",
+        HAIR,
+        "plait:attach:tip:points",
+        _tie("int[] plait:attach:tip:points = [1]"),
+    ),
+    _case("attachment_points_in_floats", HAIR, f"{TIE}:points", _tie("float[] plait:attach:tie:points = [1]")),
+    _case("attachment_without_points", HAIR, f"{TIE}:points", _tie("int[] plait:attach:tie:points = []")),
+    _case("attachment_beyond_the_points", HAIR, f"{TIE}:points", _tie("int[] plait:attach:tie:points = [1, 5]")),
+    _case("attachment_before_the_points", HAIR, f"{TIE}:points", _tie("int[] plait:attach:tie:points = [-1]")),
+    _case("attachment_of_a_root", HAIR, f"{TIE}:points", _tie("int[] plait:attach:tie:points = [2, 3]")),
+    _case("attachment_stiffness_zero", HAIR, f"{TIE}:stiffness", _tie("float plait:attach:tie:stiffness = 0")),
+    _case("attachment_stiffness_nan", HAIR, f"{TIE}:stiffness", _tie("float plait:attach:tie:stiffness = nan")),
+    _case(
+        "attachment_stiffness_in_words",
+        HAIR,
+        f"{TIE}:stiffness",
+        _tie('string plait:attach:tie:stiffness = "hard"'),
+    ),
+    _case("attachment_enabled_in_numbers", HAIR, f"{TIE}:enabled", _tie("int plait:attach:tie:enabled = 1")),
     # bodies
     _case("nan_skin_point", SKIN, "points", (_SKIN_POINTS, _SKIN_POINTS.replace("(0, 60, 0)", "(nan, 60, 0)"))),
     _case("face_names_no_point", SKIN, "faceVertexIndices", ("[0, 1, 2, 3]", "[0, 1, 2, 4]")),

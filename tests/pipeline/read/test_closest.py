@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plait.pipeline.read.closest import GROUP, closest_on_triangles
+from plait.pipeline.read.closest import GROUP, closest_on_triangles, nearest_points
 
 
 def _brute_force(query: np.ndarray, corners: np.ndarray) -> float:
@@ -44,3 +44,17 @@ def test_far_from_the_origin() -> None:
     _, place, distance = closest_on_triangles(np.array([[0.25, 0.25, 0.5]]) + shift, points, np.array([[0, 1, 2]]))
     np.testing.assert_allclose(place[0], [0.5, 0.25, 0.25], atol=1e-10)
     np.testing.assert_allclose(distance[0], 0.5, rtol=1e-11)
+
+
+def test_nearest_points_match_every_point_tried() -> None:
+    """In clusters and with points that coincide, in order; of points equally near the first."""
+    random = np.random.default_rng(4)
+    points = np.concatenate([random.normal(size=(50, 3)), 1e-3 * random.normal(size=(50, 3)) + 2.0])
+    points = np.concatenate([points, points[:10]])
+    queries = np.concatenate([random.normal(size=(40, 3)), points[::7]])
+    nearest, distance = nearest_points(queries, points, 5)
+    every = np.linalg.norm(queries[:, None] - points[None], axis=2)
+    expected = np.argsort(every, axis=1, kind="stable")[:, :5]
+    np.testing.assert_array_equal(nearest, expected)
+    np.testing.assert_allclose(distance, np.take_along_axis(every, expected, 1), rtol=1e-12)
+    assert nearest_points(queries, points[:3], 5)[0].shape == (len(queries), 3)
