@@ -26,10 +26,10 @@ class ContactPart(Protocol):
 
     too_fast: bool
 
-    def begin_substep(self, start: wp.array, position: wp.array, base: wp.array) -> bool:
+    def begin_substep(self, start: wp.array, position: wp.array, base: wp.array, lying: np.ndarray) -> bool:
         """Finds what may touch while nodes go from `start` to `position`; False if nothing does.
 
-        base: where impulses act, see `BodyContact.begin_substep`.
+        base, lying: see `BodyContact.begin_substep`.
         """
 
     def begin_pass(
@@ -63,6 +63,9 @@ class BodyContact:
     cell_size: [m] of the grid; particles on the skins lie at most so far apart.
     particles: those.  passes: how often an elastic solve and contact alternate in a substep.
     obstacles: contact with surfaces that no body carries, part of the elastic solve; None without such.
+    holds_still: whether bodies that lie on others may be left out of it.
+    pairs: (pair_count, 2), the bodies that may touch in this substep, not both of them lying; a body that may
+        touch itself with itself.
     """
 
     def __init__(self, model: Model, state: State, layout: TetLayout) -> None:
@@ -81,24 +84,38 @@ class BodyContact:
             self.parts: list[ContactPart] = [PaperRule(model, self.particles, self._answers.mobile)]
         else:
             self.parts = [SkinContact(model, state, self.particles, self._answers.mobile)]
+        self.holds_still = self.settings.rule == "pairwise"
         self.passes = 1 if self.settings.rule == "paper" else self.settings.passes
         self._active: list[ContactPart] = []
         self._substep: Interval | None = None
         self.obstacles = build_obstacles(model, state, self.particles)
 
     def begin_substep(
-        self, substep: Interval, start: wp.array, position: wp.array, base: wp.array | None = None
+        self,
+        substep: Interval,
+        start: wp.array,
+        position: wp.array,
+        base: wp.array | None = None,
+        lying: np.ndarray | None = None,
     ) -> bool:
         """Whether anything may touch in this substep; if not, nothing has been changed or need be called.
 
         start, position: (node_count,) vec3d [m], the nodes where the substep starts and after the elastic solve.
         base: [m] where impulses act: what positions at the substep's end are reckoned from, x = base + t v. With
             impulses in one point there, angular momentum is conserved. By default the start.
+        lying: (body_count,) bool, bodies that stay where they are; what lies on each other is left alone. None by
+            default.
         """
+        lying = np.zeros(self.layout.body_count, dtype=bool) if lying is None else lying
         self._substep, base = substep, start if base is None else base
         self._first_pass = True
-        self._active = [part for part in self.parts if part.begin_substep(start, position, base)]
+        self._active = [part for part in self.parts if part.begin_substep(start, position, base, lying)]
         return bool(self._active)
+
+    @property
+    def pairs(self) -> np.ndarray:
+        found = [part.pairs for part in self._active if isinstance(part, SkinContact)]
+        return np.concatenate(found) if found else np.zeros((0, 2), dtype=np.int64)
 
     @property
     def too_fast(self) -> bool:

@@ -41,7 +41,7 @@ class PaperRule:
         self._filtered, self._change = (wp.zeros_like(particles.position) for _ in range(2))
         self._node_change = wp.zeros(layout.node_count, dtype=wp.vec3d, device=device)
 
-    def begin_substep(self, start: wp.array, position: wp.array, base: wp.array) -> bool:
+    def begin_substep(self, start: wp.array, position: wp.array, base: wp.array, lying: np.ndarray) -> bool:
         """True always: the rule has no gate. Particles are taken where the substep starts (16)."""
         self._grid.place(self._particles.evaluate_positions(start).numpy())
         self._particles.evaluate_normals()

@@ -36,6 +36,8 @@ class ObstacleForces:
 
     active: (active_count,) int32, the particles that have planes, in the order of their tets.
     rounds: how often the body has been solved with them in this substep.
+    slots: of all planes, those of the body's particles.
+    holds: whether the body stays where it is, with the planes that it had.
     """
 
     def __init__(self, obstacles: Obstacles, body: int) -> None:
@@ -47,8 +49,9 @@ class ObstacleForces:
         self._weights = particles.weights[own]
         self._kernels = tet_kernels(obstacles.real)
         self._inertia = 0.0  # [1/s2] over the square of the reach
-        self.rounds = 0
-        self._take(np.zeros(0, dtype=np.int64))
+        self.slots = slice(self._first * int(SLOTS), (self._first + self._count) * int(SLOTS))
+        self.holds = False
+        self._forget()
 
     @property
     def count(self) -> int:
@@ -85,9 +88,19 @@ class ObstacleForces:
         self._launcher.launch(
             find_obstacle_planes, self._count, inputs, [shared.planes], work_per_item=SEARCH_WORK
         )
-        slots = int(SLOTS)
-        held = shared.planes.surface.numpy()[self._first * slots : (self._first + self._count) * slots]
-        self._take(np.flatnonzero((held.reshape(-1, slots) >= 0).any(axis=1)))
+        held = shared.planes.surface.numpy()[self.slots].reshape(-1, int(SLOTS))
+        self._take(np.flatnonzero((held >= 0).any(axis=1)))
+        self.holds = False
+
+    def hold(self) -> None:
+        """The body stays where it is in this substep: nothing is asked for."""
+        self._forget()
+        self.holds = True
+
+    def meets(self, surfaces: np.ndarray, *, before: bool = False) -> bool:
+        """Whether any of these, by index into `Scene.surfaces`, is in reach, or was in the substep before."""
+        planes = self._shared.before if before else self._shared.planes
+        return bool(np.isin(planes.surface.numpy()[self.slots], surfaces).any())
 
     def pushes(self, position: wp.array, reach: float) -> bool:
         """Whether any force acts at `position`; makes ready for a solve.
@@ -146,6 +159,10 @@ class ObstacleForces:
         inputs = [self.active, self._shared.points, self._shared.planes, self._inertia, position]
         outputs = [self._energy, self._force, self._stiffness]
         self._launcher.launch(evaluate_pushes, self.count, inputs, outputs, work_per_item=FORCE_WORK)
+
+    def _forget(self) -> None:
+        self.rounds = 0
+        self._take(np.zeros(0, dtype=np.int64))
 
     def _take(self, own: np.ndarray) -> None:
         """Makes these of the body's particles the active ones."""

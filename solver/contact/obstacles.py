@@ -58,6 +58,8 @@ class Obstacles:
 
     What hangs on a surface by flesh that is torn is let go.
 
+    moving: indices of the surfaces in reach that move in the substep.
+
     State arrays: obstacles/surface, normal, depth, pressure, traction, let_go of each point's planes.
     """
 
@@ -72,29 +74,56 @@ class Obstacles:
             state.arrays[f"obstacles/{name}"] = getattr(self.before, name)
         self.surfaces = self._hold_surfaces()
         self.travel = wp.zeros(0, dtype=wp.float64, device=model.launcher.device)
+        self.moving = np.zeros(0, dtype=np.int32)
         self.length = self.exit_distance = 0.0  # [s], [m] of the substep
         self.bodies = [ObstacleForces(self, b) for b in range(particles.layout.body_count)]
         self._tracked, self._left = True, False
 
-    def begin_substep(self, substep: Interval, start: wp.array, position: wp.array) -> bool:
+    def begin_substep(
+        self, substep: Interval, start: wp.array, position: wp.array, lying: np.ndarray | None = None
+    ) -> bool:
         """Finds the planes that bodies may meet between `start` and `position`, (node_count,) vec3d [m].
 
         False, with nothing launched, where no surface comes near.
+
+        lying: (body_count,) bool, bodies that stay where they are, and keep their planes; none by default.
         """
         self._keep()
+        lying = np.zeros(len(self.bodies), dtype=bool) if lying is None else lying
+        for b in np.flatnonzero(lying):
+            self._hold(self.bodies[b])
+        if lying.all():
+            return False
         near = self._find_near(substep, start, position)
         if near:
             self._face(near, substep)
-            self.length = substep.length
-            self.exit_distance = self._exit_speed * substep.length
-            for body in self.bodies:
-                body.examine(start, position, anew=True)
-        elif self._tracked:
-            self.planes.surface.fill_(-1)
-            self.planes.let_go.zero_()
-            self._left = True
+            for b in np.flatnonzero(~lying):
+                self.bodies[b].examine(start, position, anew=True)
+        else:
+            self.moving = self.moving[:0]
+            if self._tracked:
+                self.planes.surface.fill_(-1)
+                self.planes.let_go.zero_()
+                self._left = True
         self._tracked = bool(near)
         return self._tracked
+
+    def disturb(self, body: int, substep: Interval, position: wp.array) -> bool:
+        """Whether a surface moves in the substep that a body lies on, or that reaches it at `position`."""
+        self._keep()
+        x = position.numpy()[self.particles.layout.nodes(body)]
+        margin = 2.0 * REACH * self.particles.layout.edge[body]
+        near = self._kinematics.colliders_near(x.min(axis=0) - margin, x.max(axis=0) + margin, substep)
+        near = [collider for collider in near if collider.moves]
+        if near:
+            self._face(near, substep)
+        if not near or not len(self.moving):
+            return False
+        forces = self.bodies[body]
+        if forces.meets(self.moving, before=True):
+            return True
+        forces.examine(position, position, anew=True)
+        return forces.meets(self.moving)
 
     def leave(self, position: wp.array) -> float:
         """Ends a substep with the nodes at `position`; how deep [m] a particle has been left under a surface."""
@@ -120,6 +149,13 @@ class Obstacles:
             for name in KEPT:
                 wp.copy(getattr(self.before, name), getattr(self.planes, name))
             self._left = False
+
+    def _hold(self, body: ObstacleForces) -> None:
+        """Gives a body that stays where it is the planes of the substep before."""
+        if not body.holds:
+            for name in KEPT:
+                wp.copy(getattr(self.planes, name)[body.slots], getattr(self.before, name)[body.slots])
+            body.hold()
 
     # -- set-up --------------------------------------------------------------------------------------------
 
@@ -214,6 +250,9 @@ class Obstacles:
         inputs = [points, surfaces.points_start, surfaces.points_end]
         work = max(c.deformer.count for c in near)
         self.launcher.launch(measure_travel, len(near), inputs, [self.travel], work_per_item=work)
+        self.moving = np.array([c.index for c in near])[self.travel.numpy() > 0.0]
+        self.length = substep.length
+        self.exit_distance = self._exit_speed * substep.length
 
 
 def build_obstacles(model: Model, state: State, particles: CollisionParticles) -> Obstacles | None:

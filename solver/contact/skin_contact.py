@@ -42,6 +42,7 @@ class SkinContact:
     each particle touched last.
 
     too_fast: in this substep something that meets moves by more than the settings' `cfl` cells.
+    pairs: (pair_count, 2), the bodies with places that may touch, valid while there are any; see `BodyContact`.
     """
 
     def __init__(self, model: Model, state: State, particles: CollisionParticles, mobile: np.ndarray) -> None:
@@ -99,17 +100,19 @@ class SkinContact:
 
     # -- finding -------------------------------------------------------------------------------------------
 
-    def begin_substep(self, start: wp.array, position: wp.array, base: wp.array) -> bool:
+    def begin_substep(self, start: wp.array, position: wp.array, base: wp.array, lying: np.ndarray) -> bool:
         """Finds the places that may touch; False, with nothing changed, if there are none."""
         particles = self._particles
         self.too_fast = self._searched = False
+        if lying.all():
+            return False
         particles.evaluate_positions(start)
         particles.gather(position, self._end)
         if not self._patches.come_near(particles.position, self._end, LOOK_AHEAD * self._cell):
             return False
         self._searched = True
         self._find()
-        contacts = self._contacts(start.numpy(), base.numpy())
+        contacts = self._contacts(start.numpy(), base.numpy(), lying)
         if contacts is None:
             return False
         self._rows.build(contacts)
@@ -136,7 +139,7 @@ class SkinContact:
         ]
         self._launcher.launch(find_places, particles.count, inputs, [self._touching], work_per_item=50)
 
-    def _contacts(self, node_start: np.ndarray, base: np.ndarray) -> Contacts | None:
+    def _contacts(self, node_start: np.ndarray, base: np.ndarray, lying: np.ndarray) -> Contacts | None:
         """Rows of the places found that may close within the substep; None without any."""
         particles, found = self._particles, np.flatnonzero(self._touching.triangle.numpy() >= 0)
         q = found // SLOTS
@@ -150,13 +153,14 @@ class SkinContact:
         kept = self._thickness[a] + self._thickness[b] + KEPT_GAP * self._cell
         self.too_fast = bool(((closing < kept) & (np.linalg.norm(moved, axis=1) > self._cfl * self._cell)).any())
         near = (closing < kept + LOOK_AHEAD * self._cell) & self._gives_way(q, corners, weights)
+        near &= ~(lying[a] & lying[b])
         near &= (a != b) | ~(self._turned(q, node_start) | self._turned(corners, node_start).any(axis=1))
         if not near.any():
             return None
         q, corners, weights, normal, gap, a, b, kept = (
             v[near] for v in (q, corners, weights, normal, gap, a, b, kept)
         )
-        self._kept = kept
+        self._kept, self.pairs = kept, np.unique(np.stack([a, b], axis=1), axis=0)
         nodes, theirs = (
             particles.nodes[corners].reshape(len(q), -1),
             -weights[:, :, None] * particles.weights[corners],

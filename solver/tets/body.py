@@ -17,6 +17,7 @@ from plait.solver.tets.layout import TetLayout
 from plait.solver.tets.momentum import WholeBody, rotation_with_spin
 from plait.solver.tets.newton import Evaluation, Newton
 from plait.solver.tets.recovery import Recovery
+from plait.solver.tets.stillness import Stillness
 from plait.solver.tets.targets import Targets
 
 if TYPE_CHECKING:
@@ -31,6 +32,8 @@ TREMBLE = 10.0
 JUMP, JUMP_WAVE = 0.5, 0.5
 # Friction shows what is left of the forces: with obstacles they are found to this part of the tolerance.
 WITH_OBSTACLES = 0.1
+# Of a body that costs nothing: in balance by itself, or lying still on what it touches.
+AWAKE, BALANCED, LYING = 0, 1, 2
 HELD = ("position", "velocity", "position_before", "velocity_before", "external_impulse")
 
 
@@ -73,10 +76,11 @@ class BodySolver:
         motion: Any,
         asleep: wp.array,
         tangle: wp.array,
+        still: tuple[wp.array, wp.array],
         real: type,
     ) -> None:
-        """motion: struct `Motion` of `body_kernels`, of all nodes.  asleep: (1,) int32 and tangle: the memory of
-        `Recovery`, parts of the state."""
+        """motion: struct `Motion` of `body_kernels`, of all nodes.  asleep: (1,) int32, AWAKE, BALANCED or LYING,
+        tangle and still: the memories of `Recovery` and `Stillness`: parts of the state."""
         self._layout, self._nodes = layout, layout.nodes(index)
         self._body, self._settings, self._launcher = layout.bodies[index], model.settings.flesh, model.launcher
         self._motion, self._asleep = motion, asleep
@@ -106,28 +110,54 @@ class BodySolver:
         self._rest_residual = REST[real] * edge / REST_TIME**2 * mean_mass * np.sqrt(len(free))
         young, density = np.max(self._body.youngs_modulus), np.mean(self._body.density)
         self._edge, self._wave = edge, float(np.sqrt(young / density))
+        self._stillness = Stillness(*still, edge)
         self.struck = self._meets = False
         self.tally = Tally()
         self._report: Report | None = None
 
     @property
     def asleep(self) -> bool:
-        return bool(self._asleep.numpy()[0])
+        return self._sleep != AWAKE
+
+    @property
+    def lies(self) -> bool:
+        """Whether it sleeps on what it touches."""
+        return self._sleep == LYING
+
+    @property
+    def stays(self) -> bool:
+        """Whether it goes on lying in this step."""
+        return self._skipped and self.lies
+
+    @property
+    def _sleep(self) -> int:
+        return int(self._asleep.numpy()[0])
 
     # -- a step ----------------------------------------------------------------------------------------------
 
-    def begin(self, substep: Interval, scheme: Scheme) -> None:
-        """Takes the present for the past, and pinned nodes to where the animation wants them."""
-        self._kept_asleep = self.asleep
-        self._skipped = self._kept_asleep and self._undisturbed(substep)
+    def begin(self, substep: Interval, scheme: Scheme, disturbed: bool = False) -> None:
+        """Takes the present for the past, and pinned nodes to where the animation wants them.
+
+        disturbed: something moves that the body lies on, or that reaches it.
+        """
+        self._kept_asleep = self._sleep
+        self._skipped = self.asleep and not disturbed and self._undisturbed(substep)
         self.struck = False
         if not self._skipped:
             self._begin(substep, scheme)
 
+    def rouse(self, substep: Interval, scheme: Scheme) -> None:
+        """Begins a step after all: what the body lies on, or carries, is awake."""
+        self._skipped = False
+        self._begin(substep, scheme)
+
     def _begin(self, substep: Interval, scheme: Scheme) -> None:
+        self._stillness.begin()
+        if self.lies or (self._stillness.noted and not self._undisturbed(substep)):
+            self._stillness.forget()
         for kept, array in zip(self._kept, self._arrays, strict=True):
             wp.copy(kept, array)
-        self._asleep.fill_(0)
+        self._asleep.fill_(AWAKE)
         self._time, self._reference = substep.end, None
         if self.newton is not None:
             self.newton.obstacles = None
@@ -221,7 +251,8 @@ class BodySolver:
             return
         for kept, array in zip(self._kept, self._arrays, strict=True):
             wp.copy(array, kept)
-        self._asleep.fill_(int(self._kept_asleep))
+        self._asleep.fill_(self._kept_asleep)
+        self._stillness.retract()
 
     def _over_nodes(self, kernel: wp.Kernel) -> None:
         count = self._nodes.stop - self._nodes.start
@@ -330,7 +361,7 @@ class BodySolver:
             held = array.numpy().copy()
             held[moved] = values
             array.assign(held)
-        self._asleep.fill_(0)
+        self._asleep.fill_(AWAKE)
         self.tally.tangles += 1
 
     # -- rest ------------------------------------------------------------------------------------------------
@@ -344,7 +375,32 @@ class BodySolver:
         """Nothing would move: nothing does, and nothing is computed until something happens to the body."""
         wp.copy(self._motion.base[self._nodes], self._motion.position[self._nodes])
         self._motion.velocity_before[self._nodes].zero_()
-        self._asleep.fill_(1)
+        self._asleep.fill_(BALANCED)
+
+    def watch(self, length: float, touches: bool, disturbed: bool) -> None:
+        """Takes note of a step of `length` [s] that the body has taken.
+
+        touches: another body, or itself.  disturbed: something moves that it touches, or that reaches it.
+        """
+        touches = touches or (self.newton is not None and self.newton.obstacles is not None)
+        if touches and not disturbed:
+            self._stillness.watch(self._motion.position[self._nodes], length)
+        else:
+            self._stillness.forget()
+
+    @property
+    def still(self) -> bool:
+        """Whether it may sleep as far as it alone is concerned."""
+        return self.asleep or self._stillness.lasts
+
+    def lie_down(self) -> None:
+        """Stays where it is, with the forces that it has from what it touches, until something happens."""
+        motion, nodes = self._motion, self._nodes
+        for array in (motion.base, motion.position_before):
+            wp.copy(array[nodes], motion.position[nodes])
+        for array in (motion.velocity, motion.velocity_before):
+            array[nodes].zero_()
+        self._asleep.fill_(LYING)
 
     def _undisturbed(self, substep: Interval) -> bool:
         """Whether nothing happens to the body in this step but what has happened all along."""

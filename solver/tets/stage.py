@@ -15,6 +15,7 @@ from plait.solver.tets.body_kernels import body_kernels
 from plait.solver.tets.integrators import SCHEMES, Scheme
 from plait.solver.tets.layout import build_layout
 from plait.solver.tets.skin import Skin
+from plait.solver.tets.stillness import islands
 
 EVOLVING = ("position", "velocity", "position_before", "velocity_before", "external_impulse")
 SCRATCH = ("goal", "base", "base_velocity", "predicted", "contact_impulse")
@@ -38,7 +39,8 @@ class TetStage:
 
     State arrays (see `Motion` in `body_kernels.py`): tets/position, velocity, position_before, velocity_before,
     external_impulse; tets/past: (1,) [s], the length of the step before, 0 for none; tets/asleep: (body_count,);
-    tets/tangle: (body_count, 3), the memories of `Recovery`.
+    tets/tangle: (body_count, 3), the memories of `Recovery`; tets/still_place: (node_count,) and tets/still_time:
+    (body_count,), those of `Stillness`.
     """
 
     name = "tets"
@@ -58,8 +60,13 @@ class TetStage:
         state.arrays |= {f"tets/{name}": getattr(motion, name) for name in EVOLVING}
         tangle = wp.zeros((self.layout.body_count, 3), dtype=wp.float64, device=device)
         state.arrays |= {"tets/past": self._past, "tets/asleep": asleep, "tets/tangle": tangle}
+        place = wp.zeros(self.layout.node_count, dtype=wp.vec3d, device=device)
+        time = wp.zeros(self.layout.body_count, dtype=wp.float64, device=device)
+        state.arrays |= {"tets/still_place": place, "tets/still_time": time}
+        still = [(place[self.layout.nodes(b)], time[b : b + 1]) for b in bodies]
         self._bodies = [
-            BodySolver(model, self.layout, b, motion, asleep[b : b + 1], tangle[b], self.real) for b in bodies
+            BodySolver(model, self.layout, b, motion, asleep[b : b + 1], tangle[b], still[b], self.real)
+            for b in bodies
         ]
         self._place_at_start()
         self._skins = [Skin(self.layout, b, self._launcher, self.real) for b in bodies]
@@ -114,12 +121,33 @@ class TetStage:
         self._kept_past = float(self._past.numpy()[0])
         scheme = SCHEMES[self._model.settings.flesh.integrator](substep.length, self._kept_past)
         self._past.fill_(substep.length)
-        for body in self._bodies:
-            body.begin(substep, scheme)
+        for b, body in enumerate(self._bodies):
+            body.begin(substep, scheme, body.lies and self._disturbed(b, substep))
         stands = self._solve()
         if (stands or last_resort) and self._contact is not None:
             stands = self._meet(substep, scheme, last_resort)
+            if (stands or last_resort) and self._contact.holds_still:
+                self._lay_down(substep)
         return stands or last_resort
+
+    def _disturbed(self, b: int, substep: Interval) -> bool:
+        """Whether an obstacle moves that a body lies on, or that reaches it."""
+        obstacles = self._contact.obstacles
+        return obstacles is not None and obstacles.disturb(b, substep, self.position)
+
+    def _lay_down(self, substep: Interval) -> None:
+        """Bodies that have lain still, with all that they touch, sleep from here on."""
+        bodies, obstacles = self._bodies, self._contact.obstacles
+        pairs = self._contact.pairs
+        for b, body in enumerate(bodies):
+            if not body.stays:
+                disturbed = obstacles is not None and obstacles.bodies[b].meets(obstacles.moving)
+                body.watch(substep.length, bool((pairs == b).any()), disturbed)
+        for island in islands(len(bodies), pairs):
+            members = [bodies[b] for b in island]
+            if all(body.still for body in members) and any(not body.asleep for body in members):
+                for body in members:
+                    body.lie_down()
 
     def retract(self, state: State, substep: Interval) -> None:
         self._past.fill_(self._kept_past)
@@ -145,7 +173,7 @@ class TetStage:
         """
         contact, motion = self._contact, self._motion
         obstacles, start, stands = contact.obstacles, motion.position_before, True
-        in_reach = obstacles is not None and obstacles.begin_substep(substep, start, motion.position)
+        in_reach = obstacles is not None and obstacles.begin_substep(substep, start, motion.position, self._lying)
         if in_reach:
             stands = all(
                 [
@@ -153,7 +181,11 @@ class TetStage:
                     for body, of_body in zip(self._bodies, obstacles.bodies, strict=True)
                 ]
             )
-        if (stands or last_resort) and contact.begin_substep(substep, start, motion.position, motion.base):
+        touches = False
+        if stands or last_resort:
+            touches, woken_stand = self._touch(substep, scheme, in_reach)
+            stands = stands and woken_stand
+        if touches:
             if contact.too_fast and not last_resort:
                 return False
             for _ in range(contact.passes - 1):
@@ -173,6 +205,39 @@ class TetStage:
             body.finish()
         if in_reach and obstacles.leave(motion.position) > DEEPEST * contact.cell_size:
             stands = False
+        return stands
+
+    @property
+    def _lying(self) -> np.ndarray:
+        """(body_count,) bool, the bodies that go on lying in this step."""
+        return np.array([body.stays for body in self._bodies])
+
+    def _touch(self, substep: Interval, scheme: Scheme, in_reach: bool) -> tuple[bool, bool]:
+        """Whether bodies may touch each other; what lies against one that is awake has been woken.
+
+        And whether the solves that took converged.  in_reach: some obstacle is.
+        """
+        contact, motion, stands = self._contact, self._motion, True
+        while True:
+            lying = self._lying
+            places = (motion.position_before, motion.position, motion.base)
+            found = contact.begin_substep(substep, *places, lying)
+            # No two that lie are a pair.
+            woken = np.unique(contact.pairs[lying[contact.pairs]])
+            if not len(woken):
+                return found, stands
+            contact.retract(substep)
+            stands = all([self._rouse(b, substep, scheme, in_reach) for b in woken]) and stands
+
+    def _rouse(self, b: int, substep: Interval, scheme: Scheme, in_reach: bool) -> bool:
+        """Wakes a body within a substep; whether its solves converged."""
+        body, motion = self._bodies[b], self._motion
+        body.rouse(substep, scheme)
+        stands = body.solve()
+        if in_reach:
+            of_body = self._contact.obstacles.bodies[b]
+            of_body.examine(motion.position_before, motion.position, anew=True)
+            stands = body.meet(of_body, substep, scheme) and stands
         return stands
 
     def _spare_skins(self, change: np.ndarray, in_all: np.ndarray, reach: float) -> None:
