@@ -9,8 +9,9 @@ Where the printed text is not followed:
 - xi of (33) is the weight of the PIC part, as the text has it and as McAdams et al. 2009; .05 unless told.
 - Gravity acts in the strands' solve, and not again in (31).
 - The text gives no Lame parameters. They are the largest that the explicit update (alpha = 0) bears.
-- An impulse is divided by the most impulses that one of the pair's four nodes receives, and not for each node by
-  its own number: thus momentum is conserved.
+- Of the n impulses that a node receives each acts on 1/n of its mass (mass splitting, Tonge et al. 2012), on both
+  edges alike. Divided for each node by its own n, as the text has it, what two edges receive is not opposite, and
+  momentum is not conserved.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from plait.solver.strand_contact.paper_impulse_kernels import (
     advance,
     apply,
     count_impulses,
+    divide,
     evaluate,
     find_close,
 )
@@ -179,8 +181,8 @@ class PaperStrandContact:
         for _ in range(self._passes):
             launch(evaluate, count, [edges, velocity], [pairs], work_per_item=PAIR_WORK)
             launch(count_impulses, self._count, [incidence, pairs], [self._impulses])
-            inputs = [edges, incidence, pairs, self._impulses]
-            launch(apply, self._count, inputs, [velocity], work_per_item=PAIR_WORK)
+            launch(divide, count, [edges, self._impulses], [pairs], work_per_item=PAIR_WORK)
+            launch(apply, self._count, [edges, incidence, pairs], [velocity], work_per_item=PAIR_WORK)
         launch(evaluate, count, [edges, velocity], [pairs], work_per_item=PAIR_WORK)
         distance, approach = pairs.distance.numpy()[:count], pairs.approach.numpy()[:count]
         self._tally["close_pairs"] += int((pairs.mass.numpy()[:count] > 0.0).sum())

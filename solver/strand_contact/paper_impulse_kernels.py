@@ -29,7 +29,7 @@ class Pairs:
     distance: wp.array(dtype=wp.float64)  # [m] of those
     normal: wp.array(dtype=wp.vec3d)  # from b to a
     mass: wp.array(dtype=wp.float64)  # [kg] that an impulse there meets; zero: not close
-    impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] on a, undivided
+    impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] on a
     approach: wp.array(dtype=wp.float64)  # [m/s], zero where they do not approach
 
 
@@ -39,6 +39,18 @@ class Incidence:
 
     first: wp.array(dtype=wp.int32)  # (node_count + 1,)
     entry: wp.array(dtype=wp.int32)  # 2 * pair, and one more where the edge is the pair's second
+
+
+@wp.func
+def give_of(edges: Edges, pair: wp.vec2i, place: wp.vec2d, count: wp.vec4d) -> wp.float64:
+    """[1/kg] by which an impulse there changes the pair's velocity; nodes have 1 / count of their masses."""
+    a = pair[0]
+    b = pair[1]
+    s = place[0]
+    t = place[1]
+    give = (ONE - s) * (ONE - s) * count[0] * edges.inverse_mass[a] + s * s * count[1] * edges.inverse_mass[a + 1]
+    give += (ONE - t) * (ONE - t) * count[2] * edges.inverse_mass[b]
+    return give + t * t * count[3] * edges.inverse_mass[b + 1]
 
 
 @wp.func
@@ -67,8 +79,7 @@ def find_close(first: int, edges: Edges, start: wp.array(dtype=wp.vec3d), pairs_
     close = (ONE - s) * edges.radius[a] + s * edges.radius[a + 1]
     close += (ONE - t) * edges.radius[b] + t * edges.radius[b + 1]
     close += wp.max(edges.thickness[a], edges.thickness[b])
-    give = (ONE - s) * (ONE - s) * edges.inverse_mass[a] + s * s * edges.inverse_mass[a + 1]
-    give += (ONE - t) * (ONE - t) * edges.inverse_mass[b] + t * t * edges.inverse_mass[b + 1]
+    give = give_of(edges, pairs_out.edges[item], place, wp.vec4d(ONE, ONE, ONE, ONE))
     mass = ZERO
     normal = wp.vec3d()
     if distance < close and distance > ZERO and give > ZERO:
@@ -123,12 +134,19 @@ def count_impulses(
     count_out[node] = count
 
 
-@wp.func
-def most(count: wp.array(dtype=wp.int32), edges: wp.vec2i) -> int:
-    """The most impulses that one of a pair's four nodes receives."""
-    a = edges[0]
-    b = edges[1]
-    return wp.max(wp.max(count[a], count[a + 1]), wp.max(count[b], count[b + 1]))
+@wp.kernel
+def divide(first: int, edges: Edges, count: wp.array(dtype=wp.int32), pairs_out: Pairs):
+    """The impulses as if each node's mass were shared equally by those that it receives; one pair an item."""
+    item = first + wp.tid()
+    if pairs_out.approach[item] > ZERO:
+        pair = pairs_out.edges[item]
+        a = pair[0]
+        b = pair[1]
+        counts = wp.vec4d(
+            wp.float64(count[a]), wp.float64(count[a + 1]), wp.float64(count[b]), wp.float64(count[b + 1])
+        )
+        give = give_of(edges, pair, pairs_out.place[item], counts)
+        pairs_out.impulse[item] = pairs_out.impulse[item] / (give * pairs_out.mass[item])
 
 
 @wp.kernel
@@ -137,25 +155,17 @@ def apply(
     edges: Edges,
     incidence: Incidence,
     pairs: Pairs,
-    count: wp.array(dtype=wp.int32),
     velocity_out: wp.array(dtype=wp.vec3d),
 ):
-    """Adds each impulse divided by the most that one of the pair's nodes receives; one node an item.
-
-    Divided by each node's own number, as the paper has it, what the two edges receive would not be opposite.
-    """
+    """Adds to a node what it receives through the edge before it and its own; one node an item."""
     node = first + wp.tid()
-    if count[node] == 0:
-        return
     total = wp.vec3d()
     for end in range(2):
         edge = node - end
         if edge >= 0:
             for at in range(incidence.first[edge], incidence.first[edge + 1]):
-                pair = incidence.entry[at] / 2
-                if pairs.approach[pair] > ZERO:
-                    share = part_of_node(pairs, incidence.entry[at], end)
-                    total += share / wp.float64(most(count, pairs.edges[pair])) * pairs.impulse[pair]
+                entry = incidence.entry[at]
+                total += part_of_node(pairs, entry, end) * pairs.impulse[entry / 2]
     velocity_out[node] = velocity_out[node] + edges.inverse_mass[node] * total
 
 
