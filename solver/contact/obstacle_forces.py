@@ -100,7 +100,7 @@ class ObstacleForces:
     def meets(self, surfaces: np.ndarray, *, before: bool = False) -> bool:
         """Whether any of these, by index into `Scene.surfaces`, is in reach, or was in the substep before."""
         planes = self._shared.before if before else self._shared.planes
-        return bool(np.isin(planes.surface.numpy()[self.slots], surfaces).any())
+        return len(surfaces) > 0 and bool(np.isin(planes.surface.numpy()[self.slots], surfaces).any())
 
     def pushes(self, position: wp.array, reach: float) -> bool:
         """Whether any force acts at `position`; makes ready for a solve.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from plait.solver.tets.layout import TetLayout
 from plait.solver.tets.momentum import WholeBody, rotation_with_spin
 from plait.solver.tets.newton import Evaluation, Newton
 from plait.solver.tets.recovery import Recovery
+from plait.solver.tets.report import Report, Tally
 from plait.solver.tets.stillness import Stillness
 from plait.solver.tets.targets import Targets
 
@@ -35,29 +35,6 @@ WITH_OBSTACLES = 0.1
 # Of a body that costs nothing: in balance by itself, or lying still on what it touches.
 AWAKE, BALANCED, LYING = 0, 1, 2
 HELD = ("position", "velocity", "position_before", "velocity_before", "external_impulse")
-
-
-@dataclass
-class Tally:
-    """What a frame's steps took."""
-
-    steps: int = 0
-    newton_iterations: int = 0
-    linear_iterations: int = 0
-    unconverged: int = 0
-    pops: int = 0
-    tangles: int = 0
-
-
-@dataclass(frozen=True)
-class Report:
-    """Of a body at a frame's end: energies [J], the smallest J of its tets, how many are inside out."""
-
-    kinetic_energy: float
-    elastic_energy: float
-    potential_energy: float
-    least_volume: float
-    inverted: int
 
 
 class BodySolver:
