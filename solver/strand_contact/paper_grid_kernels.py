@@ -101,11 +101,14 @@ def return_to_strands(
     state_out: MatterState,
     overturned_out: wp.array(dtype=wp.int32),
 ):
-    """Blended velocity (33), C as in APIC, and F^E by (32) returned to its cone; one particle an item.
+    """Blended velocity (33), C as in APIC, and F^E by (32) returned to its cone; one particle an item, ghosts not.
 
     overturned_out: 1 where the grid has turned over, so that F^E begins anew.
     """
     p = first + wp.tid()
+    overturned_out[p] = 0
+    if matter.mass[p] == wp.float64(0.0):
+        return
     velocity = wp.vec3d()
     change = wp.vec3d()
     affine = wp.mat33d()
