@@ -22,6 +22,8 @@ from . import referee_kernels as kernels
 
 # Rounding of the float32 boxes of the broad phase, over the size of the coordinates.
 BOX_ROUNDING = 1.0e-6
+# Beyond it the Tight Inclusion test calls a pair collided: edges that come together parallel would take for ever.
+MOST_ITERATIONS = 1_000_000
 
 
 def watch(simulation: Simulation, see: Callable[[Interval, np.ndarray, np.ndarray], None]) -> None:
@@ -102,7 +104,7 @@ class MissedCollisions:
         """edges: (edge_count,) int32, edge k from node k to k + 1; edges that share a node are no pair."""
         self._edges = wp.array(edges, dtype=wp.int32, device="cpu")
         self._counts = wp.zeros(len(edges), dtype=wp.int32, device="cpu")
-        self._test = ipctk.TightInclusionCCD()
+        self._test = ipctk.TightInclusionCCD(max_iterations=MOST_ITERATIONS)
 
     def __call__(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """(n, 2) int, the pairs of edges that collide between two states (node_count, 3) [m]."""
@@ -117,7 +119,7 @@ class MissedCollisions:
         return pairs[np.array(hits, dtype=bool)]
 
     def candidates(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """(n, 2) int: pairs whose swept boxes meet and whose four corners may lie in one plane on the way."""
+        """(n, 2) int: pairs whose swept boxes meet, that may become coplanar, with no plane found between them."""
         count = len(self._edges)
         before, after = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in (start, end))
         lower, upper = (wp.empty(count, dtype=wp.vec3, device="cpu") for _ in range(2))

@@ -1,4 +1,4 @@
-"""Broad phase of the referee: pairs of edges whose swept boxes meet and that may become coplanar."""
+"""Broad phase of the referee: pairs of edges that swept boxes, coplanarity and planes cannot keep apart."""
 
 import warp as wp
 
@@ -54,6 +54,58 @@ def may_cross(start: wp.array(dtype=wp.vec3d), end: wp.array(dtype=wp.vec3d), k:
     return least <= margin and most >= -margin
 
 
+@wp.func(module=MODULE)
+def between(a: wp.vec3d, b: wp.vec3d, p: wp.vec3d, q: wp.vec3d):
+    """About the shortest vector from segment a b to segment p q; exact but where both ends clamp."""
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    u = b - a
+    v = q - p
+    w = p - a
+    uu = wp.dot(u, u)
+    uv = wp.dot(u, v)
+    vv = wp.dot(v, v)
+    determinant = uu * vv - uv * uv
+    s = wp.float64(0.5)
+    if determinant > wp.float64(1.0e-12) * uu * vv:
+        s = wp.clamp((wp.dot(u, w) * vv - wp.dot(v, w) * uv) / determinant, zero, one)
+    t = wp.clamp((s * uv - wp.dot(v, w)) / vv, zero, one)
+    s = wp.clamp((t * uv + wp.dot(u, w)) / uu, zero, one)
+    return w + t * v - s * u
+
+
+@wp.func(module=MODULE)
+def apart(d: wp.vec3d, a: wp.vec3d, b: wp.vec3d, p: wp.vec3d, q: wp.vec3d):
+    """Whether segment p q lies beyond segment a b in direction d."""
+    gap = wp.min(wp.dot(d, p - a), wp.dot(d, p - b))
+    gap = wp.min(gap, wp.min(wp.dot(d, q - a), wp.dot(d, q - b)))
+    return gap > wp.float64(ROUNDING) * wp.length(d) * (wp.length(p - a) + wp.length(q - b))
+
+
+@wp.func(module=MODULE)
+def stay_apart(start: wp.array(dtype=wp.vec3d), end: wp.array(dtype=wp.vec3d), k: int, j: int):
+    """Whether a plane of fixed direction keeps two edges apart on the whole way.
+
+    Gaps along a fixed direction are linear in time: what holds at both ends holds between.
+    """
+    half = wp.float64(0.5)
+    found = wp.bool(False)
+    for i in range(3):
+        part = half * wp.float64(i)
+        rest = wp.float64(1.0) - part
+        d = between(
+            rest * start[k] + part * end[k],
+            rest * start[k + 1] + part * end[k + 1],
+            rest * start[j] + part * end[j],
+            rest * start[j + 1] + part * end[j + 1],
+        )
+        found = found or (
+            apart(d, start[k], start[k + 1], start[j], start[j + 1])
+            and apart(d, end[k], end[k + 1], end[j], end[j + 1])
+        )
+    return found
+
+
 @wp.kernel(module=MODULE, enable_backward=False)
 def find(
     tree: wp.uint64,
@@ -77,7 +129,7 @@ def find(
     other = wp.int32(0)
     while wp.bvh_query_next(query, other):
         j = edges[other]
-        if j > k + 1 and may_cross(start, end, k, j):
+        if j > k + 1 and may_cross(start, end, k, j) and not stay_apart(start, end, k, j):
             if write:
                 pairs_out[first + count] = wp.vec2i(k, j)
             count += 1

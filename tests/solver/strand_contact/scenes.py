@@ -74,14 +74,15 @@ def tubes(strands: int = 90, segments: int = 60) -> Case:
     length, spacing = 0.3, 1.1 * (2.0 * TUBE.radius + TUBE_THICKNESS)
     lower_count = strands // 2
     weight = TUBE.density * TUBE.area * length * GRAVITY
-    lower = [
-        straight(segments, length, (1, 0, 0), (-0.5 * length, y, z))
-        for y, z in bundle_places(lower_count, spacing)
-    ]
-    upper = [
-        straight(segments, length, (0, 0, 1), (x, 0.05 + y, -0.5 * length))
-        for y, x in bundle_places(strands - lower_count, spacing)
-    ]
+    random = np.random.default_rng(1)
+    # Hair is never quite parallel: ends are off by up to a third of the play between neighbours.
+    uneven = 0.03 * spacing * random.uniform(-1.0, 1.0, (strands, 2, 2))
+    ends = np.linspace(-0.5 * length, 0.5 * length, segments + 1)
+    part = np.linspace(0.0, 1.0, segments + 1)[:, None]
+    places = np.vstack([bundle_places(lower_count, spacing), bundle_places(strands - lower_count, spacing)])
+    across = places[:, None] + (1.0 - part) * uneven[:, :1] + part * uneven[:, 1:]  # (strands, points, 2)
+    lower = [np.column_stack([ends, one]) for one in across[:lower_count]]
+    upper = [np.column_stack([one[:, 1], 0.05 + one[:, 0], ends]) for one in across[lower_count:]]
     pull = tip_loads(lower, np.array([10.0 * weight, 0.5 * weight, 0.0]))
     surface_a, a = rods("lower", lower, TUBE, rest_shape="authored", loads=pull, surface=0)
     surface_b, b = rods("upper", upper, TUBE, rest_shape="authored", surface=1)
