@@ -47,7 +47,7 @@ class StrandContactSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_un
     geometric_passes: of 'paper', how often geometric impulses are applied in a substep.
     """
 
-    method: Literal["implicit", "paper", "none"] = "implicit"
+    method: Literal["implicit", "paper", "none"] = "none"
     passes: Count = 16
     geometric_passes: Count = 5
 

@@ -391,5 +391,13 @@ def strand_kernels(real: type) -> SimpleNamespace:
         measures_out[strand, 3] = potential
 
     return SimpleNamespace(
-        solve=solve, realign=realign, measure=measure, types=types, newton=newton, joint_energy=joint_energy
+        solve=solve,
+        realign=realign,
+        measure=measure,
+        types=types,
+        newton=newton,
+        joint_energy=joint_energy,
+        load=load,
+        carry=carry,
+        aim=aim,
     )

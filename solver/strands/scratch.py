@@ -22,12 +22,30 @@ def count_chunks(strand_count: int, launcher: Launcher) -> int:
 
 def allocate_scratch(real: type, layout: Layout, chunks: int, device: wp.Device) -> Any:
     """`Scratch` for `chunks` strands at a time, each as long as the longest."""
-    types = rod_types(real)
     longest = int((layout.first_node[1:] - layout.first_node[:-1]).max())
-    scratch = types.Scratch()
+    scratch = _allocate(real, longest * chunks, device)
     # On a GPU, neighbouring threads read neighbouring entries; on a CPU a strand is one run.
     scratch.chunk_stride, scratch.node_stride = (1, chunks) if device.is_cuda else (longest, 1)
-    size = longest * chunks
+    return scratch
+
+
+def allocate_coupled_scratch(real: type, node_count: int, device: wp.Device) -> Any:
+    """`Scratch` that holds all strands at once, entry k of a strand at its node k, and what meetings need."""
+    types = rod_types(real)
+    scratch = _allocate(real, node_count, device)
+    for name, dtype in (
+        ("right", types.vec4),
+        ("meeting_block", types.mat33),
+        ("meeting_lower", types.mat33),
+        ("meeting_gradient", types.vec3),
+    ):
+        setattr(scratch, name, wp.zeros(node_count, dtype=dtype, device=device))
+    return scratch
+
+
+def _allocate(real: type, size: int, device: wp.Device) -> Any:
+    types = rod_types(real)
+    scratch = types.Scratch()
     vectors = ("start", "start_velocity", "stage_velocity", "start_of_stage", "target")
     fields = {
         types.vec3: (*vectors, "position", "director", "tangent"),

@@ -21,6 +21,7 @@ from plait.solver.strands.types import rod_types
 
 if TYPE_CHECKING:
     from plait.solver.contact.reaction import SkinReaction
+    from plait.solver.strand_contact.coupled import StrandContact
 
 # A strand that does not converge is stepped in halves, quarters, ... of its substep, down to this many parts.
 MAX_PIECES = 16
@@ -68,6 +69,9 @@ class StrandsStage:
         self._method = self._make_method()
         self._reaction: SkinReaction | None = None
         self._contact = self._make_contact(state)
+        self._meetings = self._make_meetings(state)
+        if self._contact is not None or self._meetings is not None:
+            self._result = self._allocate_result()
         self._iterations: list[np.ndarray] = []
         self._unconverged = 0
         self._subdivided = 0
@@ -158,12 +162,9 @@ class StrandsStage:
         return method
 
     def _make_contact(self, state: State) -> SurfaceContact | None:
-        """Contact with the surfaces that collide, and room for a substep's result while it is tried."""
+        """Contact with the surfaces that collide."""
         if self._kinematics.colliders is None:
             return None
-        self._result = self._types.RodState()
-        for name in STATE_ARRAYS:
-            setattr(self._result, name, wp.zeros_like(getattr(self._held, name)))
         device = self._launcher.device
         self._flags = wp.zeros(self.layout.strand_count, dtype=wp.int32, device=device)
         if self._model.scene.bodies:
@@ -182,6 +183,21 @@ class StrandsStage:
             friction=self.layout.friction,
         )
 
+    def _make_meetings(self, state: State) -> StrandContact | None:
+        """Contact of strands with each other."""
+        if self._model.settings.strand_contact.method != "implicit" or self.layout.strand_count < 2:
+            return None
+        from plait.solver.strand_contact.coupled import StrandContact
+
+        return StrandContact(self._model, state, self.layout, self.rods, self.real)
+
+    def _allocate_result(self) -> Any:
+        """Room for a substep's result while it is tried."""
+        result = self._types.RodState()
+        for name in STATE_ARRAYS:
+            setattr(result, name, wp.zeros_like(getattr(self._held, name)))
+        return result
+
     def _reachable(self, tolerance: float) -> float:
         """The tolerance, or what rounding lets float32 reach."""
         return tolerance if self.real == wp.float64 else max(tolerance, LEAST_TOLERANCE_FLOAT32)
@@ -193,6 +209,8 @@ class StrandsStage:
         self._unconverged = self._subdivided = self._let_go_count = 0
         if self._contact is not None:
             self._contact.begin_frame()
+        if self._meetings is not None:
+            self._meetings.begin_frame()
 
     def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
         """One implicit substep of every strand; with surfaces in reach, solve and detection in turns.
@@ -201,13 +219,47 @@ class StrandsStage:
         """
         self._method.step = substep.length
         self._method.warm = 0
-        stands = True
-        if self._contact is None or not self._contact.active:
+        stands, meetings = True, self._meetings
+        touching = self._contact is not None and self._contact.active
+        if not touching and meetings is None:
             self._solve(self._method, self._held, self._all, constrained=False)
         else:
-            stands = self._step_in_contact(substep, last_resort)
+            if touching:
+                stands = self._step_in_contact(substep, last_resort)
+            else:
+                self._solve(self._method, self._result, self._all, constrained=False)
+            if stands and meetings is not None and meetings.find(self._held.position, self._result.position):
+                stands = self._meet(touching) or last_resort
+            if stands:
+                self._commit(substep, touching)
         self._count(stands)
         return stands
+
+    def _meet(self, touching: bool) -> bool:
+        """Solves strands that meet together, and finds the planes in their way, in turns; whether that stands."""
+        meetings, contact, held, result = self._meetings, self._contact, self._held, self._result
+        roots = self._roots()
+        meetings.begin(self._method, held, roots)
+        planes = contact.planes if touching else self._no_planes
+        for _ in range(self._model.settings.contact.passes):
+            stands = meetings.solve(self._method, result, roots, planes, touching)
+            if not touching:
+                break
+            self._flags.assign(meetings.pairs.near.astype(np.int32))
+            if not contact.examine(held.position, result.position, self._flags):
+                break
+        return stands
+
+    def _commit(self, substep: Interval, touching: bool) -> None:
+        """The result is what there is from now on."""
+        if touching:
+            self._contact.end_substep()
+            if self._broken and self._reaction is not None:
+                self._reaction.give(self._contact, self._result.position, self._report.reaction, substep.length)
+        if self._meetings is not None:
+            self._meetings.commit()
+        for name in STATE_ARRAYS:
+            wp.copy(getattr(self._held, name), getattr(self._result, name))
 
     def retract(self, state: State, substep: Interval) -> None:
         """Nothing: a step that does not stand has left the state alone."""
@@ -218,7 +270,7 @@ class StrandsStage:
         contact.begin_substep(substep.length)
         self._solve(self._method, result, self._all, constrained=False)
         flags.fill_(1)
-        broken = contact.examine(held.position, result.position, flags)
+        broken = self._broken = contact.examine(held.position, result.position, flags)
         if broken:
             tried, free_strain = flags.numpy() > 0, self._strain(result)
             self._solve_in_contact(broken, last_resort)
@@ -228,11 +280,6 @@ class StrandsStage:
                 return False
             self._excused_until.assign(np.where(troubled, substep.end + EXCUSED, excused))
             self._let_go(strain > TORN)
-        contact.end_substep()
-        if broken and self._reaction is not None:
-            self._reaction.give(contact, result.position, self._report.reaction, substep.length)
-        for name in STATE_ARRAYS:
-            wp.copy(getattr(held, name), getattr(result, name))
         return True
 
     def _solve_in_contact(self, broken: int, last_resort: bool) -> None:
@@ -277,10 +324,14 @@ class StrandsStage:
         self._contact.examine(self._held.position, self._result.position, self._flags)
         self._let_go_count += int(torn.sum())
 
-    def _solve(self, method: Any, out: Any, active: wp.array, *, constrained: bool) -> None:
+    def _roots(self) -> Any:
         roots = self._types.Roots()
         roots.position = self._kinematics.root_position
         roots.rotation = self._kinematics.root_rotation
+        return roots
+
+    def _solve(self, method: Any, out: Any, active: wp.array, *, constrained: bool) -> None:
+        roots = self._roots()
         nodes_a_chunk = max(1, self.layout.node_count // self._chunks)
         planes = self._contact.planes if constrained else self._no_planes
         inputs = [self._chunks, active, constrained, planes, method, self.rods, self._held, roots, self._scratch]

@@ -19,6 +19,11 @@ def module_name(real: type) -> str:
     return f"plait_strands_{real.__name__}"
 
 
+def coupled_module_name(real: type) -> str:
+    """The module of what strands that meet need besides."""
+    return f"plait_strands_coupled_{real.__name__}"
+
+
 @cache
 def rod_types(real: type) -> SimpleNamespace:
     """Vector, matrix and struct types for `real` (wp.float32 or wp.float64)."""
@@ -108,6 +113,11 @@ def rod_types(real: type) -> SimpleNamespace:
         lower1: wp.array(dtype=mat44)  # block towards the segment before
         lower2: wp.array(dtype=mat43)  # block towards the one before that, whose turn takes no part
         solution: wp.array(dtype=vec4)  # (angle, displacement) of segment k: its director, its end node
+        # Of strands that meet others (`strand_contact`), else empty; entry k as above.
+        right: wp.array(dtype=vec4)  # the right-hand side of segment k, then what is left of it
+        meeting_block: wp.array(dtype=mat33)  # [N/m] stiffness that contacts give node k
+        meeting_lower: wp.array(dtype=mat33)  # and between node k and the one before
+        meeting_gradient: wp.array(dtype=vec3)  # [N] less their forces on node k
 
     @structure
     class Report:

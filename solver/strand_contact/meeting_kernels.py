@@ -1,0 +1,219 @@
+"""Edges of strands that meet: geometry, and an augmented Lagrangian of Signorini's law and Coulomb friction.
+
+For edges a and b with closest points p_a, p_b, normal n from b to a, distance to keep d, stiffness k, and forces
+lambda (pressure) and tau (traction) held so far (Simo and Laursen 1992):
+
+    pressure  lambda' = max(lambda - k (n . (p_a - p_b) - d), 0)
+    traction  tau' = tau - k (1 - n n^T) slip, shortened to mu lambda where it is longer
+
+with `slip` the way that the one point has gone along the other in the substep. On a acts lambda' n + tau', on b
+the opposite. Both are gradients of convex energies once the pressure that bounds friction is held.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from plait.solver.strand_contact.crossing_kernels import closest_on_edges, first_touch, may_cross
+
+wp.set_module_options({"enable_backward": False})
+
+ZERO = wp.constant(wp.float64(0.0))
+ONE = wp.constant(wp.float64(1.0))
+# What two strands nearer than their distance to keep are asked to regain of it in a substep.
+REGAINED = wp.constant(wp.float64(0.2))
+# Where edges are on their way through each other, their geometry is taken when so much of their distance is left.
+LEFT = wp.constant(wp.float64(0.1))
+# Stiffness of a contact over that of the nodes it holds.
+STIFFER = wp.constant(wp.float64(10.0))
+# Contacts of which each edge remembers the forces for the next substep, the largest of them.
+HELD_AN_EDGE = wp.constant(4)
+
+
+@wp.struct
+class Meetings:
+    """Pairs of edges that may meet in a substep, (pair_count,) each; edge k joins nodes k and k + 1."""
+
+    edges: wp.array(dtype=wp.vec2i)  # a, b
+    place: wp.array(dtype=wp.vec2d)  # where on a and on b, 0 to 1
+    normal: wp.array(dtype=wp.vec3d)  # from b to a
+    target: wp.array(dtype=wp.float64)  # [m] distance to keep
+    gap: wp.array(dtype=wp.float64)  # [m] distance beyond that
+    crossing: wp.array(dtype=wp.int32)  # 1: the edges have gone through each other
+    stiffness: wp.array(dtype=wp.float64)  # [N/m] k
+    pressure: wp.array(dtype=wp.float64)  # [N] held
+    traction: wp.array(dtype=wp.vec3d)  # [N] held
+    acts: wp.array(dtype=wp.int32)  # 1: a force or stiffness there is
+    force: wp.array(dtype=wp.vec3d)  # [N] on a
+    block: wp.array(dtype=wp.mat33d)  # [N/m] its derivative by -p_a
+    answer: wp.array(dtype=wp.vec3d)  # [N] that p_b's displacement causes on a, and
+    answer_back: wp.array(dtype=wp.vec3d)  # p_a's on b, in a linear solve
+
+
+@wp.struct
+class Held:
+    """Forces of contacts that last, HELD_AN_EDGE slots an edge."""
+
+    other: wp.array(dtype=wp.int32)  # (slot_count,) the second edge; -1: none
+    pressure: wp.array(dtype=wp.float64)  # [N]
+    traction: wp.array(dtype=wp.vec3d)  # [N]
+
+
+@wp.func
+def along(x: wp.array(dtype=wp.vec3d), edge: int, place: wp.float64):
+    return (ONE - place) * x[edge] + place * x[edge + 1]
+
+
+@wp.kernel
+def recall(first: int, held: Held, meetings: Meetings):
+    """Takes up the forces that the pair had before; one pair an item."""
+    item = first + wp.tid()
+    edges = meetings.edges[item]
+    pressure = ZERO
+    traction = wp.vec3d()
+    for i in range(HELD_AN_EDGE):
+        slot = edges[0] * HELD_AN_EDGE + i
+        if held.other[slot] == edges[1]:
+            pressure = held.pressure[slot]
+            traction = held.traction[slot]
+    meetings.pressure[item] = pressure
+    meetings.traction[item] = traction
+
+
+@wp.kernel
+def remember(
+    first: int,
+    incident_first: wp.array(dtype=wp.int32),
+    incident: wp.array(dtype=wp.int32),
+    meetings: Meetings,
+    held_out: Held,
+):
+    """Keeps the forces of an edge's pairs in which it is the first; one edge an item."""
+    edge = first + wp.tid()
+    for i in range(HELD_AN_EDGE):
+        held_out.other[edge * HELD_AN_EDGE + i] = -1
+        held_out.pressure[edge * HELD_AN_EDGE + i] = ZERO
+        held_out.traction[edge * HELD_AN_EDGE + i] = wp.vec3d()
+    for at in range(incident_first[edge], incident_first[edge + 1]):
+        pair = incident[at] / 2
+        if incident[at] % 2 == 0 and meetings.pressure[pair] > ZERO:
+            least = wp.int32(0)
+            for i in range(1, HELD_AN_EDGE):
+                if held_out.pressure[edge * HELD_AN_EDGE + i] < held_out.pressure[edge * HELD_AN_EDGE + least]:
+                    least = i
+            slot = edge * HELD_AN_EDGE + least
+            if meetings.pressure[pair] > held_out.pressure[slot]:
+                held_out.other[slot] = meetings.edges[pair][1]
+                held_out.pressure[slot] = meetings.pressure[pair]
+                held_out.traction[slot] = meetings.traction[pair]
+
+
+@wp.kernel
+def locate(
+    first: int,
+    reach: wp.array(dtype=wp.float64),
+    stiffness: wp.array(dtype=wp.float64),
+    start: wp.array(dtype=wp.vec3d),
+    x: wp.array(dtype=wp.vec3d),
+    meetings: Meetings,
+):
+    """Where a pair of edges that go from `start` to `x` touch or come nearest, and its gap; one pair an item.
+
+    reach: (node_count,) [m], half of the distance to keep.  stiffness: (node_count,) [N/m] of the nodes.
+    """
+    item = first + wp.tid()
+    a = meetings.edges[item][0]
+    b = meetings.edges[item][1]
+    a0 = start[a]
+    a1 = start[a + 1]
+    b0 = start[b]
+    b1 = start[b + 1]
+    drawn = closest_on_edges(a0, a1, b0, b1)
+    before = wp.length(along(start, a, drawn[0]) - along(start, b, drawn[1]))
+    c0 = x[a]
+    c1 = x[a + 1]
+    d0 = x[b]
+    d1 = x[b + 1]
+    crossing = wp.int32(0)
+    if may_cross(a0, a1, b0, b1, c0, c1, d0, d1):
+        time = first_touch(a0, a1, b0, b1, c0, c1, d0, d1, LEFT * before)
+        if time <= ONE:
+            crossing = 1
+            c0 = a0 + time * (c0 - a0)
+            c1 = a1 + time * (c1 - a1)
+            d0 = b0 + time * (d0 - b0)
+            d1 = b1 + time * (d1 - b1)
+    place = closest_on_edges(c0, c1, d0, d1)
+    s = place[0]
+    t = place[1]
+    offset = (ONE - s) * c0 + s * c1 - (ONE - t) * d0 - t * d1
+    distance = wp.length(offset)
+    normal = wp.vec3d()
+    if distance > ZERO:
+        normal = offset / distance
+    full = (ONE - s) * reach[a] + s * reach[a + 1] + (ONE - t) * reach[b] + t * reach[b + 1]
+    target = full
+    if before < full:
+        target = before + REGAINED * (full - before)
+    of_a = (ONE - s) * stiffness[a] + s * stiffness[a + 1]
+    of_b = (ONE - t) * stiffness[b] + t * stiffness[b + 1]
+    meetings.place[item] = wp.vec2d(s, t)
+    meetings.normal[item] = normal
+    meetings.target[item] = target
+    meetings.crossing[item] = crossing
+    meetings.stiffness[item] = STIFFER * of_a * of_b / (of_a + of_b)
+    meetings.gap[item] = wp.dot(normal, along(x, a, s) - along(x, b, t)) - target
+
+
+@wp.kernel
+def press(
+    first: int,
+    friction: wp.array(dtype=wp.float64),
+    start: wp.array(dtype=wp.vec3d),
+    x: wp.array(dtype=wp.vec3d),
+    keep: bool,
+    meetings: Meetings,
+):
+    """Force and stiffness of each pair at `x`; keep: hold that force from now on.  One pair an item.
+
+    friction: (node_count,) Coulomb coefficient; a pair's is the mean of both.
+    """
+    item = first + wp.tid()
+    a = meetings.edges[item][0]
+    b = meetings.edges[item][1]
+    s = meetings.place[item][0]
+    t = meetings.place[item][1]
+    n = meetings.normal[item]
+    k = meetings.stiffness[item]
+    offset = along(x, a, s) - along(x, b, t)
+    gap = wp.dot(n, offset) - meetings.target[item]
+    meetings.gap[item] = gap
+    held = meetings.pressure[item]
+    pressure = wp.max(held - k * gap, ZERO)
+    acts = wp.int32(0)
+    force = wp.vec3d()
+    block = wp.mat33d()
+    traction = wp.vec3d()
+    if pressure > ZERO:
+        acts = 1
+        nn = wp.outer(n, n)
+        block = k * nn
+        bound = wp.float64(0.5) * (friction[a] + friction[b]) * held
+        if bound > ZERO:
+            across = wp.identity(n=3, dtype=wp.float64) - nn
+            slip = across * (offset - along(start, a, s) + along(start, b, t))
+            traction = across * meetings.traction[item] - k * slip
+            size = wp.length(traction)
+            if size <= bound:
+                block += k * across
+            else:
+                direction = traction / size
+                traction = bound * direction
+                block += (k * bound / size) * (across - wp.outer(direction, direction))
+        force = pressure * n + traction
+    meetings.acts[item] = acts
+    meetings.force[item] = force
+    meetings.block[item] = block
+    if keep:
+        meetings.pressure[item] = pressure
+        meetings.traction[item] = traction
