@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from plait.pipeline import checkpoint, provenance
 from plait.pipeline.config import Config
@@ -110,8 +112,8 @@ class _Run:
         for part in parts.values():
             for warning in getattr(part, "warnings", ()):
                 self.progress.log("warning", text=warning)
-        self.outputs = Outputs(self.shot, parts)
         try:
+            self.outputs = self._outputs(parts)
             with self.writer:
                 return self._loop(simulation, self._resume(simulation), stop)
         finally:
@@ -122,9 +124,18 @@ class _Run:
         try:
             return build(self.shot.scene, self.config.solver, self._seconds(self.begin))
         except Refused as error:
-            raise InputError(str(error), file=self.shot.info.path) from error
+            raise self._refused(error) from error
         except NoSuchDevice as error:
             raise UsageError(str(error)) from error
+
+    def _outputs(self, parts: Mapping[str, Any]) -> Outputs:
+        try:
+            return Outputs(self.shot, parts)
+        except Refused as error:
+            raise self._refused(error) from error
+
+    def _refused(self, error: Refused) -> InputError:
+        return InputError(str(error), file=self.shot.info.path)
 
     def _resume(self, simulation: Simulation) -> int:
         if not self.resuming or not self.checkpoint_path.exists():

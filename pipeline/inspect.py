@@ -11,7 +11,7 @@ from typing import Any
 
 from plait.pipeline.config import Config
 from plait.pipeline.read import read_shot
-from plait.pipeline.shot import PrimReport, Shot
+from plait.pipeline.shot import INTERPOLATED, PrimReport, Shot
 from plait.solver.build import FEATURES
 
 
@@ -54,6 +54,7 @@ def totals(shot: Shot) -> dict[str, int]:
     return {
         "strands": sum(strands.strand_count for strands in scene.strands),
         "strand points": sum(len(strands.points) for strands in scene.strands),
+        "interpolated strands": sum(len(o.followers.strands) for o in shot.curves if o.followers is not None),
         "attached points": sum(len(attachment.point) for attachment in scene.attachments),
         "bodies of flesh": len(scene.bodies),
         "colliders": sum(surface.collides for surface in scene.surfaces),
@@ -76,7 +77,7 @@ def _print(shot: Shot) -> None:
     width = max((len(prim.role) for prim in shot.prims), default=0)
     for prim in shot.prims:
         colour = (
-            {"strands": "green", "flesh": "green", "skipped": "dim"}.get(prim.role, "cyan")
+            {"strands": "green", INTERPOLATED: "green", "flesh": "green", "skipped": "dim"}.get(prim.role, "cyan")
             if prim.supported
             else "red"
         )
@@ -100,4 +101,5 @@ def _why(prim: PrimReport) -> str:
     refused = "" if prim.supported else "sim refuses it without --skip-unsupported"
     roots = f"roots: {prim.roots}" if prim.roots else ""
     held = [f"attached: {words}" for words in prim.attachments]
-    return "; ".join(part for part in (prim.recognised, roots, *held, prim.reason, refused) if part)
+    guides = f"guides: {prim.guides}" if prim.guides else ""
+    return "; ".join(part for part in (prim.recognised, roots, guides, *held, prim.reason, refused) if part)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from plait.pipeline.normals import CarriedNormals
-from plait.pipeline.shot import CurveOutput, MeshOutput, PrimFrame, PrimOutput, Shot
+from plait.pipeline.shot import CurveOutput, CurvesNow, MeshOutput, PrimFrame, PrimOutput, Shot
 from plait.pipeline.surface_normals import SurfaceNormals
 
 # Half the span of the central difference that gives a moving prim's own velocity [s].
@@ -20,36 +20,61 @@ class Outputs:
     """All prims' results, read from the stages that own them."""
 
     def __init__(self, shot: Shot, parts: Mapping[str, Any]) -> None:
-        """parts: `Model.parts`, just built: authored normals of curves belong to the frames of that moment."""
+        """parts: `Model.parts`, just built: authored normals of curves belong to the frames of that moment.
+
+        Raises `Refused` for curves that follow guides and grow where they cannot.
+        """
         self._strands, self._tets = parts.get("strands"), parts.get("tets")
         self._curves, self._meshes = shot.curves, shot.meshes
-        self._normals: dict[str, CarriedNormals | SurfaceNormals] = {
-            output.prim_path: CarriedNormals(
-                output.normals,
-                self._strands.points(output.strands),
-                self._strands.directors(output.strands),
-                self._strands.root_rotations(output.strands),
-                shot.scene.strands[output.strands].offsets,
-            )
-            for output in shot.curves
-            if output.normals is not None
-        }
+        self._following = None
+        followers = [output.followers for output in shot.curves if output.followers is not None]
+        if followers:
+            # Here, so that a shot without guides compiles nothing for it.
+            from plait.pipeline.following import Following
+
+            self._following = Following(followers, parts)
+        self._normals = self._carried_normals(shot, parts["kinematics"].model.start_time) if shot.curves else {}
         self._normals |= {
             output.prim_path: SurfaceNormals(output.normals)
             for output in shot.meshes
             if output.normals is not None
         }
 
+    def _carried_normals(self, shot: Shot, start: float) -> dict[str, CarriedNormals | SurfaceNormals]:
+        result: dict[str, CarriedNormals | SurfaceNormals] = {}
+        for output, now in zip(shot.curves, self._now(start), strict=True):
+            if output.normals is not None:
+                held = output.followers or shot.scene.strands[output.strands]
+                result[output.prim_path] = CarriedNormals(
+                    output.normals, now.points, now.directors, now.rotations, held.offsets
+                )
+        return result
+
     def frames(self, time: float) -> tuple[PrimFrame, ...]:
         """Every prim's sample, everything simulated being where it is at `time` [s]."""
-        curves = [self._curve_frame(output, time) for output in self._curves]
+        shapes = zip(self._curves, self._now(time), strict=True)
+        curves = [self._curve_frame(output, now, time) for output, now in shapes]
         return (*curves, *(self._mesh_frame(output, time) for output in self._meshes))
 
-    def _curve_frame(self, output: CurveOutput, time: float) -> PrimFrame:
-        points, velocities = self._strands.points(output.strands), self._strands.velocities(output.strands)
+    def _now(self, time: float) -> list[CurvesNow]:
+        """Every curves prim's strands, simulated or following, as they are at `time` [s]."""
+        following = iter(self._following.now(time) if self._following is not None else ())
+        return [self._together(output, following) for output in self._curves]
+
+    def _together(self, output: CurveOutput, following: Iterator[CurvesNow]) -> CurvesNow:
+        followers, stage, prim = output.followers, self._strands, output.strands
+        if prim is None:
+            return next(following)
+        own = CurvesNow(
+            stage.points(prim), stage.velocities(prim), stage.directors(prim), stage.root_rotations(prim)
+        )
+        return own if followers is None else followers.among(own, next(following))
+
+    def _curve_frame(self, output: CurveOutput, now: CurvesNow, time: float) -> PrimFrame:
         carried = self._normals.get(output.prim_path)
-        normals = None if carried is None else carried.at(points, self._strands.directors(output.strands))
-        return prim_frame(output, output.drawn(points), output.drawn(velocities), time, output.widths, normals)
+        normals = None if carried is None else carried.at(now.points, now.directors)
+        points, velocities = output.drawn(now.points), output.drawn(now.velocities)
+        return prim_frame(output, points, velocities, time, output.widths, normals)
 
     def _mesh_frame(self, output: MeshOutput, time: float) -> PrimFrame:
         tets, body = self._tets, output.body

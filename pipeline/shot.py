@@ -8,7 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from plait.solver.scene import Scene
+from plait.solver.scene import Scene, Strands
+
+# What curves that follow guides are for.
+INTERPOLATED = "interpolated"
 
 
 @dataclass(frozen=True)
@@ -88,20 +91,78 @@ class PrimOutput:
         return len(self.point_map)
 
 
+def as_drawn(strands: Strands) -> np.ndarray:
+    """(point_count, 3) scene coordinates, where the artist drew them."""
+    return strands.points @ strands.rest_transform[:3, :3].T + strands.rest_transform[:3, 3]
+
+
+@dataclass(frozen=True)
+class CurvesNow:
+    """A prim's strands at one instant, scene world.
+
+    points, velocities: (n, 3) float64 [m], [m/s].  directors: (n, 3), unit, across the segment that begins at each
+    point.  rotations: (strand_count, 3, 3), from rest space, of the roots.
+    """
+
+    points: np.ndarray
+    velocities: np.ndarray
+    directors: np.ndarray
+    rotations: np.ndarray
+
+
+@dataclass(frozen=True)
+class Followers:
+    """Curves of a prim that follow guides instead of being simulated.
+
+    curves: as if they were; only their shape and what they grow on play a part.
+    points, strands: which of all the prim's points (n,) and strands (curve_count,) these are.
+    offsets: as of `Strands`, for all strands of the prim.
+    guides: (curve_count, 3) int32, counted through the strands of all of `Scene.strands`, heaviest first.
+    weights: (curve_count, 3) float64, rows sum to one; zero where there are fewer guides.
+    """
+
+    curves: Strands
+    points: np.ndarray
+    strands: np.ndarray
+    offsets: np.ndarray
+    guides: np.ndarray
+    weights: np.ndarray
+
+    def among(self, simulated: CurvesNow, following: CurvesNow) -> CurvesNow:
+        """All strands of the prim, in its order."""
+        points = np.ones(len(simulated.points) + len(following.points), dtype=bool)
+        strands = np.ones(len(self.offsets) - 1, dtype=bool)
+        points[self.points], strands[self.strands] = False, False
+
+        def merge(own: np.ndarray, others: np.ndarray, mine: np.ndarray) -> np.ndarray:
+            result = np.empty((len(mine), *own.shape[1:]))
+            result[mine], result[~mine] = own, others
+            return result
+
+        return CurvesNow(
+            merge(simulated.points, following.points, points),
+            merge(simulated.velocities, following.velocities, points),
+            merge(simulated.directors, following.directors, points),
+            merge(simulated.rotations, following.rotations, strands),
+        )
+
+
 @dataclass(frozen=True)
 class CurveOutput(PrimOutput):
-    """How one `Strands` of the scene goes back to its BasisCurves prim.
+    """How a BasisCurves prim gets its points from the `Strands` of the scene that are simulated for it.
 
-    strands: index into `Scene.strands`.
+    strands: index into `Scene.strands`; None where all its curves follow guides.
+    followers: those of its curves that do, if any; the prim's points are then those of both, curve by curve.
     point_map: authored points that were collapsed (repeated ends) share a simulated one.
     widths: (authored point count,) float64 [stage units] as they apply to points, for `extent`.
     stencil: how authored points follow from several simulated ones, where they are not points of the curve
         (Bezier handles); None where `point_map` says all.
     """
 
-    strands: int
+    strands: int | None
     widths: np.ndarray
     stencil: Stencil | None = None
+    followers: Followers | None = None
     normals: Normals | None = field(default=None, kw_only=True)
 
     def drawn(self, simulated: np.ndarray) -> np.ndarray:
@@ -148,10 +209,12 @@ class Embedded:
 class PrimReport:
     """One row of `plait inspect`: what a prim will be, how that was recognised, how large it is.
 
-    role: of `usd.md`'s table, or 'skipped'.  recognised: in words.  reason: why skipped or refused, or ''.
+    role: what it is for, INTERPOLATED for curves that follow guides, or 'skipped'.  recognised: in words.
+    reason: why skipped or refused, or ''.
     supported: False for a role whose physics does not exist yet.
     sizes: e.g. {'strands': 500, 'points': 12000}.
-    roots, attachments: where its strands grow, and what holds their points besides, in words.
+    roots, guides, attachments: where its strands grow, what they lead or follow, and what holds their points
+        besides, in words.
     """
 
     path: str
@@ -162,6 +225,7 @@ class PrimReport:
     reason: str = ""
     supported: bool = True
     roots: str = ""
+    guides: str = ""
     attachments: tuple[str, ...] = ()
 
 

@@ -25,6 +25,7 @@ from plait.pipeline.read.roles import is_solid
 from plait.pipeline.read.roots import CLEARLY_NEARER
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Bodies, Body
+from plait.pipeline.shot import as_drawn
 from plait.solver.scene import AlwaysOn, Attachment, Strands, Surface, Switch
 
 NAMESPACE = "plait:attach"
@@ -50,7 +51,7 @@ class Tied:
     @property
     def drawn(self) -> np.ndarray:
         """(point_count, 3) scene coordinates, where the artist drew them."""
-        return transform(self.strands.rest_transform, self.strands.points)
+        return as_drawn(self.strands)
 
     @property
     def strand_of_point(self) -> np.ndarray:

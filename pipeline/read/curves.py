@@ -15,6 +15,8 @@ from pxr import Usd, UsdGeom
 from plait.pipeline.read import bezier, values
 from plait.pipeline.read.source import Source
 
+# On curves that follow guides, whose.
+GUIDES = "plait:guides"
 # A segment below this part of its strand's length is a repeated point.
 REPEATED = 1e-6
 # A strand without length follows its root as a stub of this part of the prim's median length.
@@ -69,6 +71,21 @@ class Polylines:
         """(strand_count,) the drawn point of each root."""
         return self.source_points[self.offsets[:-1]]
 
+    def select(self, chosen: np.ndarray) -> tuple[Polylines, np.ndarray]:
+        """Some strands, (strand_count,) bool, and which points they have; `point_map` is -1 at others'."""
+        count = np.diff(self.offsets)
+        points = np.nonzero(np.repeat(chosen, count))[0]
+        number = np.full(int(self.offsets[-1]), -1, dtype=np.int32)
+        number[points] = np.arange(len(points))
+        tips = number[self.stub_tips]
+        return Polylines(
+            self.curves[chosen],
+            np.concatenate([[0], np.cumsum(count[chosen])]).astype(np.int32),
+            self.source_points[points],
+            tips[tips >= 0],
+            number[self.point_map],
+        ), points
+
 
 def refusal(prim: Usd.Prim) -> str:
     """Why a curves prim cannot be simulated whatever its values are; '' if it can."""
@@ -79,11 +96,10 @@ def refusal(prim: Usd.Prim) -> str:
     return ""
 
 
-def are_guides(prim: Usd.Prim) -> bool:
-    """Marked by the `groom_guide` primvar or by purpose `guide`; they are simulated like any other strands."""
-    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("groom_guide")
-    marked = primvar and primvar.HasAuthoredValue() and np.any(primvar.ComputeFlattened())
-    return bool(marked) or UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide
+def names_guides(prim: Usd.Prim) -> bool:
+    """Whether the prim says which guides its curves follow."""
+    relationship = prim.GetRelationship(GUIDES)
+    return bool(relationship) and bool(relationship.GetForwardedTargets())
 
 
 def sizes(prim: Usd.Prim, source: Source) -> dict[str, int]:

@@ -211,10 +211,10 @@ class _Assignment:
         return Role(prim, SKIPPED, "no role", self._why_skipped(prim), authored=False, carries=carries)
 
     def _implied_curves(self, prim: Usd.Prim, hidden: str) -> Role:
-        if self._first is not None:
+        if self._first is not None and not curves.names_guides(prim):
             reason = (
                 f"no role, while {self._first.prim.GetPath()} has one ({self._first.recognised}); "
-                "apply PhysicsCurvesDeformableSimAPI or author plait:role = 'strands'"
+                "apply PhysicsCurvesDeformableSimAPI, author plait:role = 'strands', or name its plait:guides"
             )
             return Role(prim, SKIPPED, "no role", reason, authored=False)
         reason = hidden or curves.refusal(prim) or self._why_unwritable(prim)
@@ -225,7 +225,9 @@ class _Assignment:
             reason = f"curveVertexCounts change at time code {change:g}"
         if reason:
             return Role(prim, SKIPPED, "no role", reason, authored=False)
-        return Role(prim, "strands", f"{prim.GetTypeName()} in a shot without roles", authored=False)
+        named = curves.names_guides(prim)
+        recognised = curves.GUIDES if named else f"{prim.GetTypeName()} in a shot without roles"
+        return Role(prim, "strands", recognised, authored=False)
 
     def _why_hidden(self, prim: Usd.Prim) -> str:
         image = UsdGeom.Imageable(prim)

@@ -8,7 +8,7 @@ transform), or in the pose of the first frame; whichever is nearest is taken.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,6 +50,15 @@ class Rooted:
     rest_to_world: np.ndarray
     bodies: tuple[Body, ...]
     how: str
+
+    def select(self, chosen: np.ndarray) -> Rooted:
+        """Of some strands, (strand_count,) bool."""
+        return replace(
+            self,
+            triangle=self.triangle[chosen],
+            barycentric=self.barycentric[chosen],
+            to_rest=self.to_rest[chosen],
+        )
 
 
 @dataclass(frozen=True)

@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdUtils
 
 from plait.pipeline.config import Config
-from plait.pipeline.read import bezier, parameters, roles, strands, values
 from plait.pipeline.read import curves as drawn
-from plait.pipeline.read.attachments import NAMESPACE, Attachments, Tied, has_attachments
+from plait.pipeline.read import parameters, roles, values
 from plait.pipeline.read.extents import Neighbourhood
 from plait.pipeline.read.gravity import read_gravity
-from plait.pipeline.read.motions import WorldToLocal
-from plait.pipeline.read.normals import read_normals
-from plait.pipeline.read.parameter_table import COLLIDER, FLESH, STRANDS
+from plait.pipeline.read.groom import Groom
+from plait.pipeline.read.grooms import Assembly, read_grooms, tell_of_skipped
+from plait.pipeline.read.guides import choose_leaders
+from plait.pipeline.read.parameter_table import COLLIDER, FLESH
 from plait.pipeline.read.polygons import mesh_sizes
 from plait.pipeline.read.roles import Role
-from plait.pipeline.read.roots import Rooted, find_roots
+from plait.pipeline.read.roots import find_roots
 from plait.pipeline.read.skeletons import Skeletons
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Bodies, Body
 from plait.pipeline.read.tissue import Tissue, estimate
-from plait.pipeline.shot import CurveOutput, MeshOutput, PrimReport, Shot
-from plait.solver.scene import Attachment, RootBinding, Scene, Strands, Surface
+from plait.pipeline.shot import INTERPOLATED, MeshOutput, PrimReport, Shot
+from plait.solver.scene import Scene, Surface
 
 
 def read_shot(path: Path, config: Config, frames: tuple[float, float] | None = None, *, fill: bool = True) -> Shot:
@@ -50,23 +50,6 @@ def read_shot(path: Path, config: Config, frames: tuple[float, float] | None = N
     return replace(shot, warnings=tuple(source.warnings), layers=source.layers)
 
 
-@dataclass
-class _Groom:
-    """One strands prim on its way into the scene."""
-
-    role: Role
-    curves: drawn.Curves
-    lines: drawn.Polylines
-    given: parameters.Given
-    rooted: Rooted | None = None
-    attachments: tuple[str, ...] = ()
-
-    @property
-    def free(self) -> np.ndarray:
-        """(strand_count,) bool, strands that nothing holds at their roots."""
-        return np.broadcast_to(self.given["free"], len(self.curves.counts))[self.lines.curves]
-
-
 class _Reader:
     def __init__(self, source: Source, config: Config, fill: bool) -> None:
         self.source, self.config, self.fill = source, config, fill
@@ -76,57 +59,33 @@ class _Reader:
 
     def shot(self) -> Shot:
         self._check_patterns()
-        grooms = self._grooms()
+        grooms = read_grooms(self.source, self.roles, self.config)
         self.source.origin = self._origin(grooms)
         tissues = self._tissues()
         surfaces, carrying = self._surfaces(grooms, tissues)
-        scene_strands, outputs = [], []
-        for groom in grooms:
-            outputs.append(self._output(groom, len(scene_strands)))
-            scene_strands.append(self._strands(groom, surfaces))
-        attachments = self._attachments(grooms, scene_strands, surfaces)
+        choose_leaders(self.source, grooms)
+        assembly = Assembly(self.source, self.skeletons, grooms, surfaces)
+        attachments = assembly.attachments(self.bodies, self.roles)
         bodies = tuple(
             replace(tissue.tets, surface=next(i for i, s in enumerate(surfaces) if s.body == index))
             for index, tissue in enumerate(tissues.values())
         )
         scene = Scene(
             tuple(surfaces),
-            tuple(scene_strands),
+            assembly.strands,
             bodies=bodies,
             gravity=read_gravity(self.source),
             origin=self.source.origin,
             attachments=attachments,
         )
-        self._tell_of_skipped_curves()
+        tell_of_skipped(self.source, self.roles)
         reports = tuple(self._report(role, carrying, grooms, tissues) for role in self.roles)
         meshes = (*(tissue.output for tissue in tissues.values()), *self._riders(tissues))
-        return Shot(self.source.info, scene, tuple(outputs), reports, meshes=meshes)
+        return Shot(self.source.info, scene, assembly.outputs(), reports, meshes=meshes)
 
     # --- strands ----------------------------------------------------------------------------------------------
 
-    def _grooms(self) -> list[_Groom]:
-        grooms = []
-        for index, role in enumerate(self.roles):
-            if role.role != "strands" or not role.supported:
-                continue
-            curves = drawn.read_curves(self.source, role.prim)
-            lines = drawn.polylines(curves)
-            if lines is None:
-                reason = "no curve has a length"
-                self.roles[index] = replace(role, role=roles.SKIPPED, reason=reason, authored=False)
-                continue
-            stubs = len(lines.stub_tips)
-            if stubs:
-                self.source.warn(
-                    f"{stubs} curves have no length; they follow their roots unsimulated", role.prim, "points"
-                )
-            if drawn.are_guides(role.prim):
-                self.source.warn("marked as guides; nothing else is interpolated from them yet", role.prim)
-            given = parameters.resolve(self.source, role.prim, STRANDS, self.config)
-            grooms.append(_Groom(role, curves, lines, given))
-        return grooms
-
-    def _origin(self, grooms: list[_Groom]) -> np.ndarray:
+    def _origin(self, grooms: list[Groom]) -> np.ndarray:
         """The middle of all that is simulated where it is drawn at the first frame, to the metre."""
         drawn_points = [(groom.role.prim, groom.curves.points) for groom in grooms]
         for role in self._flesh_roles():
@@ -143,57 +102,6 @@ class _Reader:
             low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
         # Adding zero makes no zero negative.
         return np.round(0.5 * (low + high) * self.source.units.meters_per_unit) + 0.0
-
-    def _strands(self, groom: _Groom, surfaces: list[Surface]) -> Strands:
-        surface = next(i for i, s in enumerate(surfaces) if s.name == groom.rooted.surface.name)
-        binding = RootBinding(surface, groom.rooted.triangle, groom.rooted.barycentric)
-        free = groom.free if groom.free.any() else None
-        return strands.build(self.source, groom.curves, groom.lines, groom.rooted, binding, groom.given, free)
-
-    def _output(self, groom: _Groom, index: int) -> CurveOutput:
-        prim, curves = groom.role.prim, groom.curves
-        widths = drawn.read_widths(self.source, curves)
-        return CurveOutput(
-            prim_path=curves.path,
-            world_to_local=WorldToLocal(self.source, prim),
-            strands=index,
-            point_map=groom.lines.point_map,
-            widths=np.zeros(len(curves.points)) if widths is None else widths,
-            stencil=bezier.stencil(curves.counts, groom.lines.point_map) if drawn.is_bezier(prim) else None,
-            skinned=self.skeletons.find(prim) is not None,
-            normals=read_normals(self.source, curves, groom.lines, groom.rooted),
-        )
-
-    def _attachments(
-        self, grooms: list[_Groom], scene_strands: list[Strands], surfaces: list[Surface]
-    ) -> tuple[Attachment, ...]:
-        """Those of every groom; surfaces that only they need join `surfaces`."""
-        tied = [
-            Tied(groom.role.prim, index, held, groom.lines.point_map)
-            for index, (groom, held) in enumerate(zip(grooms, scene_strands, strict=True))
-        ]
-        hosts = {str(role.prim.GetPath()): role.rides for role in self.roles if role.rides}
-        reader = Attachments(self.source, self.bodies, surfaces, tied, hosts)
-        found: list[Attachment] = []
-        for groom in grooms:
-            attached = reader.read(groom.role.prim)
-            groom.attachments = attached.words
-            found += attached.attachments
-        simulated = [groom.role.prim for groom in grooms]
-        for role in self.roles:
-            if role.prim not in simulated and has_attachments(role.prim):
-                self.source.warn("without effect: only strands that are simulated have it", role.prim, NAMESPACE)
-        return tuple(found)
-
-    def _tell_of_skipped_curves(self) -> None:
-        """One line a reason: what might have been meant to be simulated and is not."""
-        skipped: dict[str, list[Usd.Prim]] = {}
-        for role in self.roles:
-            if role.prim.IsA(UsdGeom.Curves) and role.role == roles.SKIPPED and not role.authored:
-                skipped.setdefault(role.reason, []).append(role.prim)
-        for reason, prims in skipped.items():
-            others = f" (and {len(prims) - 1} more)" if len(prims) > 1 else ""
-            self.source.warn(f"not simulated{others}: {reason}", prims[0])
 
     # --- flesh ------------------------------------------------------------------------------------------------
 
@@ -240,7 +148,7 @@ class _Reader:
     # --- surfaces ---------------------------------------------------------------------------------------------
 
     def _surfaces(
-        self, grooms: list[_Groom], tissues: dict[str, Tissue]
+        self, grooms: list[Groom], tissues: dict[str, Tissue]
     ) -> tuple[list[Surface], dict[str, list[str]]]:
         """All that strands or flesh collide with, or strands grow on; and which prims carry which grooms.
 
@@ -274,7 +182,7 @@ class _Reader:
                     surfaces.append(self._with_contact(body))
         return surfaces + hidden, carrying
 
-    def _tell_of_animated_roots(self, groom: _Groom, tissues: dict[str, Tissue]) -> None:
+    def _tell_of_animated_roots(self, groom: Groom, tissues: dict[str, Tissue]) -> None:
         """Strands that grow on several skins, or were drawn in a pose, follow the animation of these."""
         flesh = [body.path for body in groom.rooted.bodies if body.path in tissues]
         if flesh and not groom.rooted.surface.collides:
@@ -304,7 +212,7 @@ class _Reader:
             named.append(body)
         return named
 
-    def _candidates(self, groom: _Groom) -> list[Body]:
+    def _candidates(self, groom: Groom) -> list[Body]:
         """Meshes that strands may grow on: colliders, and visible meshes nearby that have no role of their own."""
         near = Neighbourhood(self.source, groom.curves)
         prims = [
@@ -330,12 +238,14 @@ class _Reader:
                 self.source.warn(f"prim.{pattern!r} of the configuration matches no prim")
 
     def _report(
-        self, role: Role, carrying: dict[str, list[str]], grooms: list[_Groom], tissues: dict[str, Tissue]
+        self, role: Role, carrying: dict[str, list[str]], grooms: list[Groom], tissues: dict[str, Tissue]
     ) -> PrimReport:
         prim = role.prim
         path = str(prim.GetPath())
         groom = next((g for g in grooms if g.role.prim == prim), None)
         kind, recognised, reason = role.role, role.recognised, role.reason
+        if groom and groom.follows:
+            kind = INTERPOLATED
         if path in carrying and not role.collides:
             kind, reason = "collider", ""
             recognised = f"{', '.join(carrying[path])} grows on it"
@@ -357,5 +267,6 @@ class _Reader:
             reason=reason,
             supported=role.supported,
             roots=roots,
+            guides=groom.guides if groom else "",
             attachments=groom.attachments if groom else (),
         )

@@ -36,9 +36,7 @@ def build(
     """The groom in the scene."""
     WorldToLocal(source, curves.prim)(source.start / source.units.time_codes_per_second)
     strand_of = np.repeat(np.arange(len(lines.curves)), np.diff(lines.offsets))
-    drawn = curves.nodes[lines.source_points]
-    drawn[lines.stub_tips, 2] += stub_length(curves) if len(lines.stub_tips) else 0.0
-    points = np.einsum("nij,nj->ni", rooted.to_rest[strand_of, :3, :3], drawn) + rooted.to_rest[strand_of, :3, 3]
+    points = _points(curves, lines, rooted)
     radius = _radii(source, curves, lines, rooted, given, strand_of)
     count = len(lines.curves)
     stiffness = _stiffness(source, curves, points, lines, radius, strand_of, given)
@@ -60,6 +58,34 @@ def build(
         pic_fraction=given["picFraction"],
         free=free,
     )
+
+
+def unsimulated(source: Source, curves: Curves, lines: Polylines, rooted: Rooted, binding: RootBinding) -> Strands:
+    """Curves that follow guides: their shape and what they grow on; no material, which plays no part."""
+    WorldToLocal(source, curves.prim)(source.start / source.units.time_codes_per_second)
+    points, none = _points(curves, lines, rooted), np.zeros(len(lines.curves))
+    return Strands(
+        name=curves.path,
+        points=points,
+        offsets=lines.offsets,
+        roots=binding,
+        radius=np.zeros(len(points)),
+        density=none,
+        stretch_stiffness=none,
+        bend_stiffness=none,
+        twist_stiffness=none,
+        damping=none,
+        friction=none,
+        rest_transform=rooted.rest_to_world,
+    )
+
+
+def _points(curves: Curves, lines: Polylines, rooted: Rooted) -> np.ndarray:
+    """(point_count, 3) as `Strands.points`."""
+    strand_of = np.repeat(np.arange(len(lines.curves)), np.diff(lines.offsets))
+    drawn = curves.nodes[lines.source_points]
+    drawn[lines.stub_tips, 2] += stub_length(curves) if len(lines.stub_tips) else 0.0
+    return np.einsum("nij,nj->ni", rooted.to_rest[strand_of, :3, :3], drawn) + rooted.to_rest[strand_of, :3, 3]
 
 
 def _damping(given: Given, radius: np.ndarray, strand_of: np.ndarray) -> np.ndarray:
