@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,10 +34,12 @@ MAX_LINEAR_ITERATIONS = 40
 CALM = 0.03
 # Contacts may be nearer by this part of their distance than they should.
 OVERLAP = 0.1
+# A pass that moves no node further than this part of a segment, with nothing out of place, is the last.
+SETTLED = 0.03
 # Pairs are found this much further apart than they interact, over the distance.
-MARGIN = 1.0
+MARGIN = 0.5
 # Cost of an item in units of `Launcher.launch`.
-PAIR_WORK, NODE_WORK = 8, 8
+PAIR_WORK, LOCATE_WORK, NODE_WORK = 4, 16, 8
 MEETING_ARRAYS = {
     "place": wp.vec2d,
     "normal": wp.vec3d,
@@ -105,95 +108,163 @@ class StrandContact:
         self._meets = meets
         return meets
 
-    def solve(self, method: Any, result: Any, roots: Any, planes: ContactPlanes, constrained: bool) -> bool:
+    def begin(self, method: Any, held: Any, result: Any, roots: Any) -> None:
+        """From the substep's start, `held`, for the strands found near each other on their way to `result`."""
+        self._allocate()
+        self._method, self._state, self._roots = method, held, roots
+        self._start, self._expected = held.position, result.position
+        self._strands = np.zeros(0, dtype=np.int32)
+        self._take_pairs(self._held)
+
+    def solve(self, result: Any, planes: ContactPlanes, constrained: bool) -> bool:
         """Solves the strands near each other into `result`; whether that stands.
 
         After `begin`; again from where it ended, with other planes, as often as need be.
         """
+        self._prepare(planes, constrained)
         stands = False
         for done in range(self._settings.passes + 1):
+            if done and float(self._stray.numpy()[: self._count].max()) > 0.5 * self._margin:
+                self._find_again(planes, constrained)
             self._locate()
             if done and self._settled():
                 stands = True
                 break
             if done == self._settings.passes:
                 break
-            self._newton(planes, constrained, roots)
-            self._press(keep=float(self._furthest.numpy()[: len(self._strands)].max()) < CALM)
+            self._newton()
+            self._press(self._furthest_move() < CALM)
             self.tally.passes += 1
-        self._launch(
-            self._kernels.finish,
-            [self._strands, method, self._rods, roots, self._scratch, self._position],
-            [result],
-        )
+        inputs = [self._active, self._method, self._rods, self._roots, self._scratch, self._position]
+        self._launch(self._kernels.finish, inputs, [result])
         return stands
 
     def commit(self) -> None:
         """The substep stands: its contacts are those to go on from."""
-        if not self._meets:
-            return
-        inputs = [self.pairs.first, self.pairs.incident, self._meetings]
-        self._launcher.launch(remember, self._layout.node_count - 1, inputs, [self._held], work_per_item=PAIR_WORK)
+        if self._meets:
+            self._remember(self._held)
+            self.tally.contacts = int(np.count_nonzero(self._meetings.pressure.numpy()[: self.pairs.count]))
 
-    # -- parts of a solve ----------------------------------------------------------------------------------
+    # -- pairs ---------------------------------------------------------------------------------------------
 
-    def begin(self, method: Any, held: Any, roots: Any) -> None:
-        """From the substep's start, `held`, for the strands that `find` found."""
-        self._allocate()
-        self._start = held.position
-        near = np.flatnonzero(self.pairs.near).astype(np.int32)
-        self._strands = wp.array(near, dtype=wp.int32, device=self._launcher.device)
-        self._work = NODE_WORK * max(1, self._layout.node_count // self._layout.strand_count)
+    def _take_pairs(self, forces: Held) -> None:
+        """The pairs last found, with the forces they had; begins strands that are new among them."""
+        launcher = self._launcher
+        strands = np.flatnonzero(self.pairs.near).astype(np.int32)
+        new = np.setdiff1d(strands, self._strands, assume_unique=True)
+        device = launcher.device
+        work = NODE_WORK * max(1, self._layout.node_count // self._layout.strand_count)
+        inputs = [wp.array(new, dtype=wp.int32, device=device), self._method, self._rods, self._state, self._roots]
+        outputs = [self._position, self._stiffness, self._inertia]
+        launcher.launch(self._kernels.begin, len(new), [*inputs, self._scratch], outputs, work_per_item=work)
+        self._strands = np.union1d(self._strands, strands).astype(np.int32)
+        self._count, self._work = len(self._strands), work
+        self._active = wp.array(self._strands, dtype=wp.int32, device=device)
         self._hold_pairs()
-        inputs = [self._strands, method, self._rods, held, roots, self._scratch]
-        self._launch(self._kernels.begin, inputs, [self._position, self._stiffness, self._inertia])
-        self._launcher.launch(recall, self.pairs.count, [self._held], [self._meetings], work_per_item=PAIR_WORK)
+        launcher.launch(recall, self.pairs.count, [forces], [self._meetings], work_per_item=PAIR_WORK)
 
-    def _locate(self) -> None:
-        inputs = [self._reach, self._stiffness, self._start, self._position]
-        self._launcher.launch(locate, self.pairs.count, inputs, [self._meetings], work_per_item=4 * PAIR_WORK)
+    def _find_again(self, planes: ContactPlanes, constrained: bool) -> None:
+        """Strands have left the places for which pairs were found."""
+        self._remember(self._kept)
+        wp.copy(self._sought, self._position)
+        away = np.setdiff1d(np.arange(self._layout.strand_count), self._strands)
+        if len(away):
+            nodes = np.isin(self._layout.node_strand, away)
+            places = self._sought.numpy()
+            places[nodes] = self._expected.numpy()[nodes]
+            self._sought.assign(places)
+        self._expected = self._sought
+        self.pairs.find(self._start, self._expected, self._margin)
+        self._take_pairs(self._kept)
+        self._prepare(planes, constrained)
 
-    def _press(self, *, keep: bool) -> None:
-        inputs = [self._friction, self._start, self._position, keep]
-        self._launcher.launch(press, self.pairs.count, inputs, [self._meetings], work_per_item=PAIR_WORK)
+    def _remember(self, forces: Held) -> None:
+        inputs = [self.pairs.first, self.pairs.incident, self._meetings]
+        self._launcher.launch(remember, self._layout.node_count - 1, inputs, [forces], work_per_item=PAIR_WORK)
+
+    # -- a Newton pass -------------------------------------------------------------------------------------
+
+    def _prepare(self, planes: ContactPlanes, constrained: bool) -> None:
+        """Records what is launched again and again."""
+        kernels, krylov, scratch, rods = self._kernels, self._krylov, self._scratch, self._rods
+        pairs, meetings, active = self.pairs, self._meetings, self._active
+
+        def of_strands(kernel: wp.Kernel, inputs: list[Any], outputs: list[Any]) -> Callable[[], None]:
+            return self._launcher.prepare(kernel, self._count, inputs, outputs, work_per_item=self._work)
+
+        def of_pairs(kernel: wp.Kernel, inputs: list[Any], work: int) -> Callable[[], None]:
+            return self._launcher.prepare(kernel, pairs.count, inputs, [meetings], work_per_item=work)
+
+        places = [self._start, self._position]
+        self._locate = of_pairs(locate, [self._reach, self._stiffness, *places], LOCATE_WORK)
+        self._pressing = [of_pairs(press, [self._friction, *places, keep], PAIR_WORK) for keep in (False, True)]
+        acting = [self._acting, self._acting_count]
+        self._gather = of_strands(
+            kernels.gather, [active, pairs.first, pairs.incident, meetings, rods], [scratch, *acting]
+        )
+        system = [active, rods, planes, constrained, self._roots, self._inertia]
+        self._linearise = of_strands(
+            kernels.linearise, [*system, scratch], [krylov, self._product, self._definite]
+        )
+        self._image = of_strands(
+            kernels.image, [active, rods.first_node, pairs.first, *acting, meetings], [krylov, self._product]
+        )
+        self._descend = of_strands(kernels.descend, [active, self._alpha, rods], [scratch, krylov, self._product])
+        self._search = of_strands(kernels.search, [active, self._beta, rods, scratch], [krylov])
+        self._advance = of_strands(
+            kernels.advance,
+            [*system, krylov, scratch, self._expected],
+            [self._position, self._furthest, self._stray],
+        )
+
+    def _press(self, keep: bool) -> None:
+        self._pressing[int(keep)]()
+
+    def _newton(self) -> None:
+        """One Newton step of all strands together."""
+        self._press(False)
+        self._gather()
+        self._linearise()
+        pairs = np.flatnonzero(self._meetings.acts.numpy()[: self.pairs.count]).astype(np.int32)
+        answer = self._launcher.prepare(
+            self._kernels.answer,
+            len(pairs),
+            [wp.array(pairs, dtype=wp.int32, device=self._launcher.device), self._meetings],
+            [self._krylov],
+            work_per_item=PAIR_WORK,
+        )
+        left = self._products()
+        enough = LINEAR_TOLERANCE**2 * left
+        for _ in range(MAX_LINEAR_ITERATIONS):
+            if left <= enough:
+                break
+            answer()
+            self._image()
+            self._alpha.fill_(left / self._products())
+            self._descend()
+            before, left = left, self._products()
+            self._beta.fill_(left / before)
+            self._search()
+            self.tally.linear_iterations += 1
+        self._advance()
 
     def _settled(self) -> bool:
         """Whether the last pass has changed little, and nothing is out of place."""
         count, meetings = self.pairs.count, self._meetings
         if meetings.crossing.numpy()[:count].any():
             return False
-        gap = meetings.gap.numpy()[:count] / meetings.target.numpy()[:count]
-        apart = np.max(gap, where=meetings.pressure.numpy()[:count] > 0.0, initial=0.0)
-        furthest = float(self._furthest.numpy()[: len(self._strands)].max())
-        return gap.min() >= -OVERLAP and apart <= OVERLAP and furthest <= 0.03
+        gap, allowed = meetings.gap.numpy()[:count], OVERLAP * meetings.target.numpy()[:count]
+        under = (gap < -allowed) | ((gap > allowed) & (meetings.pressure.numpy()[:count] > 0.0))
+        return not under.any() and self._furthest_move() <= SETTLED
 
-    def _newton(self, planes: ContactPlanes, constrained: bool, roots: Any) -> None:
-        kernels, strands, krylov, scratch = self._kernels, self._strands, self._krylov, self._scratch
-        pairs, meetings, rods = self.pairs, self._meetings, self._rods
-        self._press(keep=False)
-        incidence = [pairs.first, pairs.incident, meetings]
-        self._launch(kernels.gather, [strands, *incidence, rods], [scratch])
-        system = [strands, rods, planes, constrained, roots, self._inertia]
-        self._launch(kernels.linearise, [*system, scratch], [krylov, self._product, self._definite])
-        left = self._sum(self._product)
-        enough = LINEAR_TOLERANCE**2 * left
-        for _ in range(MAX_LINEAR_ITERATIONS):
-            if left <= enough:
-                break
-            self._launcher.launch(kernels.answer, pairs.count, [meetings], [krylov], work_per_item=PAIR_WORK)
-            self._launch(kernels.image, [strands, rods.first_node, *incidence], [krylov, self._product])
-            alpha = left / self._sum(self._product)
-            self._launch(kernels.descend, [strands, alpha, rods], [scratch, krylov, self._product])
-            before, left = left, self._sum(self._product)
-            self._launch(kernels.search, [strands, left / before, rods, scratch], [krylov])
-            self.tally.linear_iterations += 1
-        self._launch(kernels.advance, [*system, krylov], [scratch, self._position, self._furthest])
+    def _furthest_move(self) -> float:
+        return float(self._furthest.numpy()[: self._count].max())
 
-    def _sum(self, values: wp.array) -> float:
-        return float(values.numpy()[: len(self._strands)].sum())
+    def _products(self) -> float:
+        return float(self._product.numpy()[: self._count].sum())
 
     def _launch(self, kernel: wp.Kernel, inputs: list[Any], outputs: list[Any]) -> None:
-        self._launcher.launch(kernel, len(self._strands), inputs, outputs, work_per_item=self._work)
+        self._launcher.launch(kernel, self._count, inputs, outputs, work_per_item=self._work)
 
     # -- room ----------------------------------------------------------------------------------------------
 
@@ -207,19 +278,25 @@ class StrandContact:
         self._krylov = self._kernels.Krylov()
         for name in ("direction", "own", "image", "step"):
             setattr(self._krylov, name, wp.zeros(nodes, dtype=rod_types(self._real).vec4, device=device))
-        self._position = wp.zeros(nodes, dtype=wp.vec3d, device=device)
+        self._kept = _allocate_held(nodes * int(HELD_AN_EDGE), device)
+        self._position, self._sought = (wp.zeros(nodes, dtype=wp.vec3d, device=device) for _ in range(2))
         self._stiffness = wp.zeros(nodes, dtype=wp.float64, device=device)
         self._inertia = wp.zeros(strands, dtype=self._real, device=device)
-        self._product, self._furthest = (wp.zeros(strands, dtype=wp.float64, device=device) for _ in range(2))
+        self._acting_count = wp.zeros(nodes, dtype=wp.int32, device=device)
+        self._product, self._furthest, self._stray = (
+            wp.zeros(strands, dtype=wp.float64, device=device) for _ in range(3)
+        )
+        self._alpha, self._beta = (wp.zeros(1, dtype=wp.float64, device=device) for _ in range(2))
         self._definite = wp.zeros(strands, dtype=wp.int32, device=device)
 
     def _hold_pairs(self) -> None:
         """Room for as many meetings as there are pairs."""
         if self.pairs.count > self._room:
-            self._room = 5 * self.pairs.count // 4
+            self._room, device = 5 * self.pairs.count // 4, self._launcher.device
             self._meetings = Meetings()
             for name, dtype in MEETING_ARRAYS.items():
-                setattr(self._meetings, name, wp.zeros(self._room, dtype=dtype, device=self._launcher.device))
+                setattr(self._meetings, name, wp.zeros(self._room, dtype=dtype, device=device))
+            self._acting = wp.zeros(2 * self._room, dtype=wp.int32, device=device)
         self._meetings.edges = self.pairs.pairs
 
 

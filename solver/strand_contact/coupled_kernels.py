@@ -94,8 +94,13 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         meetings: Meetings,
         rods: Rods,
         scratch: Scratch,
+        acting_out: wp.array(dtype=wp.int32),
+        acting_count_out: wp.array(dtype=wp.int32),
     ):
-        """What the forces and stiffnesses of its pairs are to a strand's nodes."""
+        """What the forces and stiffnesses of its pairs are to a strand's nodes; and which pairs of an edge act.
+
+        acting_out: as `incident`, those of an edge first; acting_count_out: (node_count,) how many.
+        """
         strand = strands[first + wp.tid()]
         base = rods.first_node[strand]
         end = rods.first_node[strand + 1]
@@ -109,10 +114,13 @@ def coupled_kernels(real: type) -> SimpleNamespace:
             between = wp.mat33d()
             force_here = wp.vec3d()
             force_next = wp.vec3d()
+            count = wp.int32(0)
             for at in range(incident_first[edge], incident_first[edge + 1]):
                 pair = incident[at] / 2
                 side = incident[at] % 2
                 if meetings.acts[pair] != 0:
+                    acting_out[incident_first[edge] + count] = incident[at]
+                    count += 1
                     w = meetings.place[pair][side]
                     u = wp.float64(1.0) - w
                     block = meetings.block[pair]
@@ -124,6 +132,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
                     between += (u * w) * block
                     force_here += u * force
                     force_next += w * force
+            acting_count_out[edge] = count
             scratch.meeting_block[edge] = scratch.meeting_block[edge] + mat33(block_here)
             scratch.meeting_gradient[edge] = scratch.meeting_gradient[edge] - vec3(force_here)
             scratch.meeting_block[edge + 1] = mat33(block_next)
@@ -186,11 +195,9 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         return u * wp.vec3d(vec3(d[1], d[2], d[3])) + place * wp.vec3d(vec3(e[1], e[2], e[3]))
 
     @kernel
-    def answer(first: int, meetings: Meetings, krylov: Krylov):
-        """What a pair's edges do to each other along the direction."""
-        pair = first + wp.tid()
-        if meetings.acts[pair] == 0:
-            return
+    def answer(first: int, acting: wp.array(dtype=wp.int32), meetings: Meetings, krylov: Krylov):
+        """What the edges of a pair that acts do to each other along the direction."""
+        pair = acting[first + wp.tid()]
         edges = meetings.edges[pair]
         place = meetings.place[pair]
         block = meetings.block[pair]
@@ -203,7 +210,8 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         strands: wp.array(dtype=wp.int32),
         first_node: wp.array(dtype=wp.int32),
         incident_first: wp.array(dtype=wp.int32),
-        incident: wp.array(dtype=wp.int32),
+        acting: wp.array(dtype=wp.int32),
+        acting_count: wp.array(dtype=wp.int32),
         meetings: Meetings,
         krylov: Krylov,
         product_out: wp.array(dtype=wp.float64),
@@ -212,37 +220,31 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         item = first + wp.tid()
         strand = strands[item]
         base = first_node[strand]
-        end = first_node[strand + 1]
         product = wp.float64(0.0)
-        for node in range(base + 2, end):
-            # Of edge node - 1, which ends here, and of edge node, which begins.
-            pull = wp.vec3d()
-            for at in range(incident_first[node - 1], incident_first[node]):
-                pair = incident[at] / 2
-                side = incident[at] % 2
-                if meetings.acts[pair] != 0:
-                    pull += meetings.place[pair][side] * wp.where(
-                        side == 0, meetings.answer[pair], meetings.answer_back[pair]
-                    )
-            if node < end - 1:
-                for at in range(incident_first[node], incident_first[node + 1]):
-                    pair = incident[at] / 2
-                    side = incident[at] % 2
-                    if meetings.acts[pair] != 0:
-                        pull += (wp.float64(1.0) - meetings.place[pair][side]) * wp.where(
-                            side == 0, meetings.answer[pair], meetings.answer_back[pair]
-                        )
-            slot = node - 1
-            image = krylov.own[slot] - vec4(real(0.0), real(pull[0]), real(pull[1]), real(pull[2]))
-            krylov.image[slot] = image
-            product += wp.float64(wp.dot(krylov.direction[slot], image))
+        pull = wp.vec3d()  # on the node at which the edge begins
+        for edge in range(base + 1, first_node[strand + 1]):
+            pull_next = wp.vec3d()
+            for i in range(acting_count[edge]):
+                incident = acting[incident_first[edge] + i]
+                pair = incident / 2
+                side = incident % 2
+                w = meetings.place[pair][side]
+                answer = wp.where(side == 0, meetings.answer[pair], meetings.answer_back[pair])
+                pull += (wp.float64(1.0) - w) * answer
+                pull_next += w * answer
+            if edge > base + 1:
+                slot = edge - 1
+                image = krylov.own[slot] - vec4(real(0.0), real(pull[0]), real(pull[1]), real(pull[2]))
+                krylov.image[slot] = image
+                product += wp.float64(wp.dot(krylov.direction[slot], image))
+            pull = pull_next
         product_out[item] = product
 
     @kernel
     def descend(
         first: int,
         strands: wp.array(dtype=wp.int32),
-        alpha: wp.float64,
+        alpha: wp.array(dtype=wp.float64),
         rods: Rods,
         scratch: Scratch,
         krylov: Krylov,
@@ -253,7 +255,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         strand = strands[item]
         base = rods.first_node[strand]
         count = rods.first_node[strand + 1] - base
-        a = real(alpha)
+        a = real(alpha[0])
         y1 = vec4()
         y2 = vec4()
         for k in range(1, count - 1):
@@ -280,7 +282,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
     def search(
         first: int,
         strands: wp.array(dtype=wp.int32),
-        beta: wp.float64,
+        beta: wp.array(dtype=wp.float64),
         rods: Rods,
         scratch: Scratch,
         krylov: Krylov,
@@ -288,7 +290,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         """The next direction."""
         strand = strands[first + wp.tid()]
         base = rods.first_node[strand]
-        b = real(beta)
+        b = real(beta[0])
         for slot in range(base + 1, rods.first_node[strand + 1] - 1):
             krylov.direction[slot] = scratch.solution[slot] + b * krylov.direction[slot]
             krylov.own[slot] = scratch.right[slot] + b * krylov.own[slot]
@@ -304,12 +306,15 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         inertia: wp.array(dtype=real),
         krylov: Krylov,
         scratch: Scratch,
+        expected: wp.array(dtype=wp.vec3d),
         position_out: wp.array(dtype=wp.vec3d),
         furthest_out: wp.array(dtype=wp.float64),
+        stray_out: wp.array(dtype=wp.float64),
     ):
         """Takes the step, or so much of it that no edge turns too far at once.
 
         furthest_out: longest displacement asked for, over the strand's segments; one entry an item.
+        stray_out: [m] the furthest that a node now is from where pairs were found for, `expected`; the same.
         """
         item = first + wp.tid()
         strand = strands[item]
@@ -335,8 +340,12 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         advance_strand(
             rods, scratch, planes, constrained, root, wp.float64(0.0), strand, base, 1, inertia[strand], fraction
         )
+        stray = wp.float64(0.0)
         for node in range(base, base + count):
-            position_out[node] = root + wp.vec3d(scratch.position[node])
+            x = root + wp.vec3d(scratch.position[node])
+            position_out[node] = x
+            stray = wp.max(stray, wp.length(x - expected[node]))
+        stray_out[item] = stray
         furthest_out[item] = wp.float64(wp.sqrt(furthest) / rods.segment[strand])
 
     @kernel

@@ -238,11 +238,10 @@ class StrandsStage:
     def _meet(self, touching: bool) -> bool:
         """Solves strands that meet together, and finds the planes in their way, in turns; whether that stands."""
         meetings, contact, held, result = self._meetings, self._contact, self._held, self._result
-        roots = self._roots()
-        meetings.begin(self._method, held, roots)
+        meetings.begin(self._method, held, result, self._roots())
         planes = contact.planes if touching else self._no_planes
         for _ in range(self._model.settings.contact.passes):
-            stands = meetings.solve(self._method, result, roots, planes, touching)
+            stands = meetings.solve(result, planes, touching)
             if not touching:
                 break
             self._flags.assign(meetings.pairs.near.astype(np.int32))
