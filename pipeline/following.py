@@ -15,17 +15,21 @@ from plait.pipeline.shot import CurvesNow, Followers, as_drawn
 from plait.solver.kinematics.roots import Roots
 from plait.solver.scene import Strands
 
-# [s] Half the span of the difference that gives velocities.
-DIFFERENCE = 1e-3
+# [s] Span of the difference that gives velocities: back in time, as the strands' own steps are.
+DIFFERENCE = 1e-4
 # Cost of a following point in units of `Launcher.launch`.
-POINT_WORK = 40
+POINT_WORK = 12
 
 
 class Following:
     """All curves of a run that follow guides."""
 
-    def __init__(self, followers: Sequence[Followers], parts: Mapping[str, Any]) -> None:
-        """parts: `Model.parts`, just built: strands lie as drawn, carried rigidly by their roots."""
+    def __init__(self, followers: Sequence[Followers], parts: Mapping[str, Any], directed: bool) -> None:
+        """parts: `Model.parts`, just built: strands lie as drawn, carried rigidly by their roots.
+
+        directed: whether directors are asked for.
+        """
+        self._directed = directed
         self._strands, self._kinematics, self._tets = parts["strands"], parts["kinematics"], parts.get("tets")
         model = self._kinematics.model
         self._scene, self._launcher = model.scene, model.launcher
@@ -34,6 +38,7 @@ class Following:
         self._first_point = _sums([len(held.points) for held in curves])
         self._first_curve = _sums([held.strand_count for held in curves])
         self._count, self._point_count = int(self._first_curve[-1]), int(self._first_point[-1])
+        self._work = max(1, POINT_WORK * self._point_count // self._count)
         self._roots = Roots(replace(self._scene, strands=(*self._scene.strands, *curves)), self._launcher)
         guide = np.concatenate([each.guides for each in followers])
         self._used, guide = np.unique(guide, return_inverse=True)
@@ -43,9 +48,13 @@ class Following:
 
     def now(self, time: float) -> tuple[CurvesNow, ...]:
         """Of each of the `followers`, the strands being where they are at `time` [s]."""
-        points, directors, rotations = self._at(time, 0.0)
-        later, earlier = self._at(time, DIFFERENCE)[0], self._at(time, -DIFFERENCE)[0]
-        velocities = (later - earlier) / (2.0 * DIFFERENCE)
+        earlier, _ = self._at(time, -DIFFERENCE)
+        points, rotation = self._at(time, 0.0)
+        velocities, rotations, directors = (
+            (points - earlier) / DIFFERENCE,
+            rotation.numpy(),
+            self._directors(rotation),
+        )
         result = []
         for k in range(len(self._followers)):
             mine = slice(self._first_point[k], self._first_point[k + 1])
@@ -105,8 +114,8 @@ class Following:
 
     # --- now --------------------------------------------------------------------------------------------------
 
-    def _at(self, time: float, later: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points, directors and root rotations `later` seconds after `time`, all strands going on as they do."""
+    def _at(self, time: float, later: float) -> tuple[np.ndarray, wp.array]:
+        """Points and root rotations `later` seconds after `time`, all strands going on as they do."""
         device = self._launcher.device
         now = self._kinematics.root_rotation.numpy()
         total = len(now)
@@ -121,23 +130,31 @@ class Following:
         moving.rotation = self._hold(now[self._used], wp.mat33d)
         moving.later_rotation = self._hold(rotation.numpy()[self._used], wp.mat33d)
         moving.later = later
-        launch = self._launcher.launch
-        launch(
+        self._launcher.launch(
             kernels.bend_guides,
             len(self._used),
             [self._guides, moving, self._bent],
             work_per_item=max(1, POINT_WORK * len(self._rows) // len(self._used)),
         )
         points = wp.zeros(self._point_count, dtype=wp.vec3d, device=device)
-        directors = wp.zeros(self._point_count, dtype=wp.vec3d, device=device)
-        launch(
+        self._launcher.launch(
             kernels.follow_guides,
             self._count,
             [self._guides, self._bent, self._follow, position[total:], rotation[total:]],
-            [points, directors],
-            work_per_item=max(1, POINT_WORK * self._point_count // self._count),
+            [points],
+            work_per_item=self._work,
         )
-        return points.numpy(), directors.numpy(), rotation.numpy()[total:]
+        return points.numpy(), rotation[total:]
+
+    def _directors(self, rotation: wp.array) -> np.ndarray:
+        """Of the guides as they were last bent; zeros where nobody asks for them."""
+        directors = wp.zeros(self._point_count, dtype=wp.vec3d, device=self._launcher.device)
+        if self._directed:
+            inputs = [self._guides, self._bent, self._follow, rotation]
+            self._launcher.launch(
+                kernels.turn_directors, self._count, inputs, [directors], work_per_item=self._work
+            )
+        return directors.numpy()
 
     def _skins(self, later: float) -> dict[int, Callable[[wp.array, wp.array], None]]:
         """What places the points of each surface that a body carries."""

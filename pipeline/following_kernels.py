@@ -172,6 +172,16 @@ def carried(
     return now + wp.quat_rotate(turn_at(guides, bent, guide, edge, arc), place - rest)
 
 
+@wp.func
+def roots_of(guides: Guides, follow: Follow, curve: wp.int32) -> wp.vec3i:
+    """The first edges of a curve's guides."""
+    return wp.vec3i(
+        guides.first[follow.guide[curve, 0]],
+        guides.first[follow.guide[curve, 1]],
+        guides.first[follow.guide[curve, 2]],
+    )
+
+
 @wp.kernel
 def follow_guides(
     first: int,
@@ -181,7 +191,6 @@ def follow_guides(
     root: wp.array(dtype=wp.vec3d),
     rotation: wp.array(dtype=wp.mat33d),
     position_out: wp.array(dtype=wp.vec3d),
-    director_out: wp.array(dtype=wp.vec3d),
 ):
     """One curve an item.
 
@@ -191,9 +200,7 @@ def follow_guides(
     """
     c = first + wp.tid()
     begin = follow.first[c]
-    edges = wp.vec3i(
-        guides.first[follow.guide[c, 0]], guides.first[follow.guide[c, 1]], guides.first[follow.guide[c, 2]]
-    )
+    edges = roots_of(guides, follow, c)
     arc = ZERO
     meant = wp.vec3d()  # by the guides alone
     placed = wp.vec3d()
@@ -205,30 +212,48 @@ def follow_guides(
         arc += length
         goal = wp.vec3d()
         stretch = ZERO
-        turn = wp.quatd(ZERO, ZERO, ZERO, ZERO)
         for k in range(NEAREST):
             weight = follow.weight[c, k]
             if weight > ZERO:
                 g = follow.guide[c, k]
                 at = edge_at(guides, g, edges[k], middle)
-                own = turn_at(guides, bent, g, at, middle)
-                if wp.dot(own, turn) < ZERO:
-                    own = -own
-                turn += weight * own
-                tip = middle > guides.arc[guides.first[g + 1] - 1]
-                stretch += weight * wp.where(tip, ONE, bent.stretch[at])
+                beyond = middle > guides.arc[guides.first[g + 1] - 1]
+                stretch += weight * wp.where(beyond, ONE, bent.stretch[at])
                 at = edge_at(guides, g, at, arc)
-                goal += weight * (
-                    carried(guides, bent, g, at, arc, follow.apart[c, k] + follow.shape[i + 1])
-                    - follow.apart[c, k]
-                )
+                apart = follow.apart[c, k]
+                goal += weight * (carried(guides, bent, g, at, arc, apart + follow.shape[i + 1]) - apart)
                 edges[k] = at
-        turn = wp.normalize(turn)
         step = goal - meant
         if wp.length(step) < CANCELLED * length:
-            step = wp.quat_rotate(turn, edge)
+            step = wp.quat_rotate(turn_at(guides, bent, follow.guide[c, 0], edges[0], arc), edge)
         placed += (stretch * length) * wp.normalize(step)
         meant = goal
         position_out[i + 1] = root[c] + rotation[c] * placed
-        director_out[i] = rotation[c] * wp.quat_rotate(turn, follow.director[i])
-    director_out[follow.first[c + 1] - 1] = director_out[follow.first[c + 1] - 2]
+
+
+@wp.kernel
+def turn_directors(
+    first: int,
+    guides: Guides,
+    bent: Bent,
+    follow: Follow,
+    rotation: wp.array(dtype=wp.mat33d),
+    director_out: wp.array(dtype=wp.vec3d),
+):
+    """One curve an item: the director of each edge, by the mean of the guides' rotations at its middle."""
+    c = first + wp.tid()
+    edges = roots_of(guides, follow, c)
+    arc = ZERO
+    for i in range(follow.first[c], follow.first[c + 1] - 1):
+        length = wp.length(follow.shape[i + 1] - follow.shape[i])
+        middle = arc + HALF * length
+        arc += length
+        turn = wp.quatd(ZERO, ZERO, ZERO, ZERO)
+        for k in range(NEAREST):
+            weight = follow.weight[c, k]
+            if weight > ZERO:
+                at = edge_at(guides, follow.guide[c, k], edges[k], middle)
+                own = turn_at(guides, bent, follow.guide[c, k], at, middle)
+                turn += weight * wp.where(wp.dot(own, turn) < ZERO, -own, own)
+                edges[k] = at
+        director_out[i] = rotation[c] * wp.quat_rotate(wp.normalize(turn), follow.director[i])

@@ -32,7 +32,8 @@ class Outputs:
             # Here, so that a shot without guides compiles nothing for it.
             from plait.pipeline.following import Following
 
-            self._following = Following(followers, parts)
+            directed = any(output.followers and output.normals for output in shot.curves)
+            self._following = Following(followers, parts, directed)
         self._normals = self._carried_normals(shot, parts["kinematics"].model.start_time) if shot.curves else {}
         self._normals |= {
             output.prim_path: SurfaceNormals(output.normals)

@@ -202,6 +202,37 @@ def test_resumed_they_end_in_the_same_bits(together, tmp_path, monkeypatch):
         assert _samples(path, "Hair", name).tobytes() == _samples(together, "Hair", name).tobytes()
 
 
+def test_on_flesh_they_go_with_the_simulated_skin(tmp_path):
+    """A soft block falls and turns; a curve's root at its corner is where the corner is written to be."""
+    corners = [(x, y, z) for x in (-5, 5) for y in (-5, 5) for z in (-5, 5)]
+    block = f"""
+    def Mesh "Block"
+    {{
+        uniform token subdivisionScheme = "none"
+        token plait:role = "flesh"
+        float plait:tetEdge = 4
+        int[] faceVertexCounts = [4, 4, 4, 4, 4, 4]
+        int[] faceVertexIndices = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
+        point3f[] points = {corners}
+    }}
+"""
+    strands = 'token plait:role = "strands"'
+    short = 0.3 * (GUIDES - GUIDES[:, :1])
+    guides = _curves(
+        "Guides", short[:3] + np.float32([[[0, 5, 0]], [[2, 5, 2]], [[-3, 5, 1]]]), strands, GUIDE_PURPOSE
+    )
+    hair = _curves("Hair", short[3:] + np.float32([5, 5, 5]), strands)
+    path = _write(tmp_path, block + guides + hair)
+    assert _sim(path, "--substeps", "2") == EXIT_DONE
+    roots = _samples(path, "Hair").reshape(6, 2, -1, 3)[:, :, 0]
+    corner = _samples(path, "Block")[:, corners.index((5, 5, 5))]
+    assert abs(corner[-1, 1] - 5.0) > 10.0, "it falls"
+    np.testing.assert_allclose(roots, np.repeat(corner[:, None], 2, axis=1), atol=4 * SINGLE)
+    velocities = _samples(path, "Hair", "velocities").reshape(6, 2, -1, 3)[:, :, 0]
+    expected = _samples(path, "Block", "velocities")[:, corners.index((5, 5, 5))]
+    np.testing.assert_allclose(velocities, np.repeat(expected[:, None], 2, axis=1), rtol=1e-3, atol=0.1)
+
+
 # --- who leads whom ---------------------------------------------------------------------------------------------
 
 
