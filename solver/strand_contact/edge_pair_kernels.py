@@ -17,10 +17,18 @@ wp.set_module_options({"enable_backward": False})
 STRAIGHT = wp.constant(wp.float64(0.9))
 # Rounding of a coordinate to float32, generously.
 TO_FLOAT = wp.constant(wp.float64(2.0e-7))
-LARGEST_COLUMN = wp.constant(1.0e9)
 FAR = wp.constant(1.0e30)
-# Entries of an item that takes the running maximum.
+# Columns along a side are numbered in 15 bits.
+LAST_COLUMN = wp.constant(32767.0)
+# Where a box begins and ends in a column takes 15 bits of a lane; the sixteenth guards the next lane.
+FULL_WIDTH = wp.constant(32767.0)
+FULL = wp.constant(wp.uint64(32767))
+LANE = wp.constant(wp.uint64(16))
+FULLS = wp.constant(wp.uint64(0x7FFF7FFF7FFF7FFF))
+GUARDS = wp.constant(wp.uint64(0x8000800080008000))
+# Entries of an item that takes the running maximum; edges of one that searches.
 RUN = wp.constant(1024)
+CHUNK = wp.constant(256)
 
 
 @wp.struct
@@ -61,6 +69,7 @@ class StrandBoxes:
     lower: wp.array(dtype=wp.vec3f)  # (strand_count,)
     upper: wp.array(dtype=wp.vec3f)
     extent: wp.array(dtype=wp.vec3f)  # [m] summed over the strand's edges
+    largest: wp.array(dtype=wp.vec3f)  # [m] of its edges
     turning: wp.array(dtype=wp.int32)  # 1: the strand turns enough to meet itself
 
 
@@ -78,16 +87,30 @@ class Columns:
 
 
 @wp.struct
+class Entry:
+    """An edge in one of its columns, as numbered: edge after edge."""
+
+    end: wp.int32  # the key at which its box ends
+    column: wp.int32  # the column itself: tells those apart that share a place
+    tag: wp.int32  # 4 edge + 2 if the box begins in this column along the first side + 1 if along the second
+    extent: (
+        wp.uint64
+    )  # four lanes of 16 bits: how far along both sides its box ends, and begins from the other end
+
+
+@wp.struct
 class Entries:
-    """Edges in columns, sorted by key."""
+    """Entries sorted by key."""
 
     key: wp.array(dtype=wp.int32)  # (entry_count,)
-    edge: wp.array(dtype=wp.int32)
-    lower: wp.array(dtype=wp.vec3f)
-    upper: wp.array(dtype=wp.vec3f)
-    furthest: wp.array(dtype=wp.int32)  # the largest key at which this box or one before it ends
-    place: wp.array(dtype=wp.int32)  # (entry_count,) of the entries as they were numbered, edge after edge
+    end: wp.array(dtype=wp.int32)
+    column: wp.array(dtype=wp.int32)
+    tag: wp.array(dtype=wp.int32)
+    extent: wp.array(dtype=wp.uint64)
+    furthest: wp.array(dtype=wp.int32)  # the largest `end` up to here
+    place: wp.array(dtype=wp.int32)  # (entry_count,) where each entry, as numbered, has come to be
     first: wp.array(dtype=wp.int32)  # (node_count + 1,) of an edge's own, as numbered
+    count: int
 
 
 @wp.func
@@ -128,6 +151,7 @@ def bound_strands(
     strand_lower = empty
     strand_upper = -empty
     extent = wp.vec3f()
+    largest = wp.vec3f()
     for k in range(root, tip):
         # Both ends with the edge's reach: it is the larger of its nodes'.
         lower, upper = box_of_path(start[k], end[k], motion, edges.reach[k])
@@ -140,41 +164,35 @@ def bound_strands(
             strand_lower = wp.min(strand_lower, lower)
             strand_upper = wp.max(strand_upper, upper)
             extent += upper - lower
+            largest = wp.max(largest, upper - lower)
         else:
             boxes_out.lower[k] = empty
             boxes_out.upper[k] = -empty
     strands_out.lower[strand] = strand_lower
     strands_out.upper[strand] = strand_upper
     strands_out.extent[strand] = extent
+    strands_out.largest[strand] = largest
     strands_out.turning[strand] = wp.where(turns(edges, start, root, tip) or turns(edges, end, root, tip), 1, 0)
 
 
 @wp.func
-def column_of(columns: Columns, x: float, side: int) -> int:
-    """Number of the column along one side, not yet modulo the table's."""
-    along = (x - columns.origin[columns.across[side]]) * columns.per_column[side]
-    return int(wp.clamp(along, 0.0, LARGEST_COLUMN))
-
-
-@wp.func
-def span(columns: Columns, lower: wp.vec3f, upper: wp.vec3f, side: int) -> wp.vec2i:
-    """(first column, how many) that a box meets along one side; no more than the table has."""
+def along_side(columns: Columns, x: wp.vec3f, side: int) -> float:
+    """Position along one side in columns. This and what is made of it is monotone in x, so that overlaps stay."""
     axis = columns.across[side]
-    low = column_of(columns, lower[axis], side)
-    return wp.vec2i(low, wp.min(column_of(columns, upper[axis], side) - low + 1, 1 << columns.bits[side]))
+    return wp.clamp((x[axis] - columns.origin[axis]) * columns.per_column[side], 0.0, LAST_COLUMN)
 
 
 @wp.func
-def place_of(columns: Columns, u: int, v: int) -> int:
-    """A column's place in the table."""
-    return ((v & ((1 << columns.bits[1]) - 1)) << columns.bits[0]) | (u & ((1 << columns.bits[0]) - 1))
+def in_column(along: float, column: int) -> wp.uint64:
+    """Position within a column in steps, 0 before it and `FULL` behind it."""
+    return wp.uint64(wp.clamp((along - float(column)) * FULL_WIDTH, 0.0, FULL_WIDTH))
 
 
 @wp.func
-def key_of(columns: Columns, place: int, x: float) -> int:
-    """Sorts by place, then along the sweep axis; monotone in x [m]."""
+def key_of(columns: Columns, place: int, x: wp.vec3f) -> int:
+    """Sorts by place, then along the sweep axis."""
     last = (1 << columns.sweep_bits) - 1
-    step = (x - columns.origin[columns.sweep]) * columns.per_step
+    step = (x[columns.sweep] - columns.origin[columns.sweep]) * columns.per_step
     return (place << columns.sweep_bits) | int(wp.clamp(step, 0.0, float(last)))
 
 
@@ -192,7 +210,8 @@ def count_entries(
     upper = boxes.upper[edge]
     count = wp.int32(0)
     if near[strand[edge]] == 1 and lower[0] <= upper[0]:
-        count = span(columns, lower, upper, 0)[1] * span(columns, lower, upper, 1)[1]
+        count = 1 + int(along_side(columns, upper, 0)) - int(along_side(columns, lower, 0))
+        count *= 1 + int(along_side(columns, upper, 1)) - int(along_side(columns, lower, 1))
     count_out[edge] = count
 
 
@@ -204,90 +223,74 @@ def write_entries(
     first_entry: wp.array(dtype=wp.int32),
     key_out: wp.array(dtype=wp.int32),
     number_out: wp.array(dtype=wp.int32),
-    edge_out: wp.array(dtype=wp.int32),
+    entry_out: wp.array(dtype=Entry),
 ):
-    """Entries as numbered: an edge's together, its columns u after u."""
+    """Entries as numbered: an edge's together."""
     edge = first + wp.tid()
-    begin = first_entry[edge]
-    if begin == first_entry[edge + 1]:
+    number = first_entry[edge]
+    if number == first_entry[edge + 1]:
         return
     lower = boxes.lower[edge]
     upper = boxes.upper[edge]
-    u = span(columns, lower, upper, 0)
-    v = span(columns, lower, upper, 1)
-    for j in range(v[1]):
-        for i in range(u[1]):
-            entry = begin + j * u[1] + i
-            place = place_of(columns, u[0] + i, v[0] + j)
-            key_out[entry] = key_of(columns, place, lower[columns.sweep])
-            number_out[entry] = entry
-            edge_out[entry] = edge
+    u_lower = along_side(columns, lower, 0)
+    u_upper = along_side(columns, upper, 0)
+    v_lower = along_side(columns, lower, 1)
+    v_upper = along_side(columns, upper, 1)
+    for v in range(int(v_lower), int(v_upper) + 1):
+        v_extent = (in_column(v_upper, v) << LANE) | ((FULL - in_column(v_lower, v)) << (LANE + LANE + LANE))
+        v_place = (v & ((1 << columns.bits[1]) - 1)) << columns.bits[0]
+        for u in range(int(u_lower), int(u_upper) + 1):
+            place = v_place | (u & ((1 << columns.bits[0]) - 1))
+            entry = Entry()
+            entry.end = key_of(columns, place, upper)
+            entry.column = (v << 15) | u
+            entry.tag = 4 * edge + wp.where(u == int(u_lower), 2, 0) + wp.where(v == int(v_lower), 1, 0)
+            entry.extent = v_extent | in_column(u_upper, u) | ((FULL - in_column(u_lower, u)) << (LANE + LANE))
+            entry_out[number] = entry
+            key_out[number] = key_of(columns, place, lower)
+            number_out[number] = number
+            number += 1
 
 
 @wp.kernel(enable_backward=False)
 def gather_entries(
-    first: int,
-    number: wp.array(dtype=wp.int32),
-    edge: wp.array(dtype=wp.int32),
-    boxes: Boxes,
-    entries_out: Entries,
+    first: int, number: wp.array(dtype=wp.int32), entry: wp.array(dtype=Entry), entries_out: Entries
 ):
-    """What the search needs of each sorted entry, side by side in memory."""
     slot = first + wp.tid()
-    entry = number[slot]
-    k = edge[entry]
-    entries_out.edge[slot] = k
-    entries_out.lower[slot] = boxes.lower[k]
-    entries_out.upper[slot] = boxes.upper[k]
-    entries_out.place[entry] = slot
-
-
-@wp.func
-def end_key(columns: Columns, entries: Entries, slot: int) -> int:
-    return key_of(columns, entries.key[slot] >> columns.sweep_bits, entries.upper[slot][columns.sweep])
+    numbered = entry[number[slot]]
+    entries_out.end[slot] = numbered.end
+    entries_out.column[slot] = numbered.column
+    entries_out.tag[slot] = numbered.tag
+    entries_out.extent[slot] = numbered.extent
+    entries_out.place[number[slot]] = slot
 
 
 @wp.kernel(enable_backward=False)
-def end_runs(first: int, columns: Columns, count: int, entries: Entries, last_out: wp.array(dtype=wp.int32)):
+def end_runs(first: int, count: int, end: wp.array(dtype=wp.int32), last_out: wp.array(dtype=wp.int32)):
     """The largest key at which a box of a run of entries ends."""
     run = first + wp.tid()
     last = wp.int32(0)
     for slot in range(run * RUN, wp.min((run + 1) * RUN, count)):
-        last = wp.max(last, end_key(columns, entries, slot))
+        last = wp.max(last, end[slot])
     last_out[run] = last
 
 
 @wp.kernel(enable_backward=False)
-def find_furthest(first: int, columns: Columns, count: int, last: wp.array(dtype=wp.int32), entries_out: Entries):
+def find_furthest(
+    first: int,
+    count: int,
+    end: wp.array(dtype=wp.int32),
+    last: wp.array(dtype=wp.int32),
+    furthest_out: wp.array(dtype=wp.int32),
+):
     """Running maximum of where boxes end. Keys of other columns are out of the way by themselves."""
     run = first + wp.tid()
     furthest = wp.int32(0)
     for before in range(run):
         furthest = wp.max(furthest, last[before])
     for slot in range(run * RUN, wp.min((run + 1) * RUN, count)):
-        furthest = wp.max(furthest, end_key(columns, entries_out, slot))
-        entries_out.furthest[slot] = furthest
-
-
-@wp.func
-def overlap(a_lower: wp.vec3f, a_upper: wp.vec3f, b_lower: wp.vec3f, b_upper: wp.vec3f) -> bool:
-    return (
-        a_lower[0] <= b_upper[0]
-        and b_lower[0] <= a_upper[0]
-        and a_lower[1] <= b_upper[1]
-        and b_lower[1] <= a_upper[1]
-        and a_lower[2] <= b_upper[2]
-        and b_lower[2] <= a_upper[2]
-    )
-
-
-@wp.func
-def owns(columns: Columns, place: int, a_lower: wp.vec3f, b_lower: wp.vec3f) -> bool:
-    """Whether a column is the one in which two overlapping boxes count."""
-    u = columns.across[0]
-    v = columns.across[1]
-    column = column_of(columns, wp.max(a_lower[u], b_lower[u]), 0)
-    return place == place_of(columns, column, column_of(columns, wp.max(a_lower[v], b_lower[v]), 1))
+        furthest = wp.max(furthest, end[slot])
+        furthest_out[slot] = furthest
 
 
 @wp.func
@@ -295,45 +298,46 @@ def straight_between(edges: Edges, x: wp.array(dtype=wp.vec3d), a: int, b: int) 
     return wp.length(x[b + 1] - x[a]) >= STRAIGHT * (edges.along[b + 1] - edges.along[a])
 
 
-@wp.func
-def may_meet(edges: Edges, start: wp.array(dtype=wp.vec3d), end: wp.array(dtype=wp.vec3d), p: int, q: int) -> bool:
-    """Whether two edges whose boxes overlap are a pair at all."""
-    if edges.prescribed[p] == 1 and edges.prescribed[q] == 1:
-        return False
-    if edges.strand[p] != edges.strand[q]:
-        return True
-    a = wp.min(p, q)
-    b = wp.max(p, q)
-    if b - a < 2 or edges.along[b] - edges.along[a + 1] < edges.reach[a] + edges.reach[b]:
-        return False
-    return not (straight_between(edges, start, a, b) and straight_between(edges, end, a, b))
-
-
 @wp.struct
 class Search:
     """What a search among the entries reads."""
 
     edges: Edges
-    columns: Columns
     entries: Entries
-    start: wp.array(dtype=wp.vec3d)
+    start: wp.array(dtype=wp.vec3d)  # (node_count,) [m]
     end: wp.array(dtype=wp.vec3d)
-    entry_count: int
+    node_count: int
+
+
+@wp.struct
+class Partners:
+    """Lists of edges, a chunk's after another in its own room, as far as there is room."""
+
+    room: wp.array(dtype=wp.int32)  # (chunk_count + 1,) where each chunk's begins
+    edge: wp.array(dtype=wp.int32)
+    first: wp.array(dtype=wp.int32)  # (node_count,) of each edge's list
+    count: wp.array(dtype=wp.int32)  # (node_count + 1,)
+    behind: wp.array(dtype=wp.int32)  # (node_count + 1,) how many are greater than the edge itself
+    needed: wp.array(dtype=wp.int32)  # (chunk_count,) room for a chunk's lists
 
 
 @wp.func
-def is_partner(search: Search, a: int, slot: int, place: int, lower: wp.vec3f, upper: wp.vec3f) -> bool:
-    if not overlap(lower, upper, search.entries.lower[slot], search.entries.upper[slot]):
+def may_meet_itself(search: Search, p: int, q: int) -> bool:
+    """Whether two edges of one strand are a pair."""
+    edges = search.edges
+    a = wp.min(p, q)
+    b = wp.max(p, q)
+    if b - a < 2 or edges.along[b] - edges.along[a + 1] < edges.reach[a] + edges.reach[b]:
         return False
-    if not owns(search.columns, place, lower, search.entries.lower[slot]):
-        return False
-    return may_meet(search.edges, search.start, search.end, a, search.entries.edge[slot])
+    return not (straight_between(edges, search.start, a, b) and straight_between(edges, search.end, a, b))
 
 
 @wp.func
-def insert(list: wp.array(dtype=wp.int32), first: int, count: int, value: int):
-    """`value` into the ascending run of `count` entries that begins at `first`."""
+def insert(list: wp.array(dtype=wp.int32), first: int, count: int, limit: int, value: int):
+    """`value` into the ascending run of `count` entries from `first`; lost if there is no room below `limit`."""
     slot = first + count
+    if slot >= limit:
+        return
     while slot > first and list[slot - 1] > value:
         list[slot] = list[slot - 1]
         slot -= 1
@@ -341,72 +345,66 @@ def insert(list: wp.array(dtype=wp.int32), first: int, count: int, value: int):
 
 
 @wp.func
-def find_partners(
-    search: Search, boxes: Boxes, a: int, listing: bool, first: int, list_out: wp.array(dtype=wp.int32)
-) -> wp.vec2i:
-    """(partners of edge a, those of them behind it); writes them in ascending order if `listing`."""
+def find_partners(search: Search, a: int, first: int, limit: int, list_out: wp.array(dtype=wp.int32)) -> wp.vec2i:
+    """(partners of edge a, those of them behind it); their ascending list from `first`, if below `limit`."""
     count = wp.int32(0)
     behind = wp.int32(0)
-    lower = boxes.lower[a]
-    upper = boxes.upper[a]
-    for entry in range(search.entries.first[a], search.entries.first[a + 1]):
-        own = search.entries.place[entry]
+    strand = search.edges.strand[a]
+    begin = search.edges.first_node[strand]
+    end = search.edges.first_node[strand + 1]
+    prescribed = search.edges.prescribed[a] == 1
+    for number in range(search.entries.first[a], search.entries.first[a + 1]):
+        own = search.entries.place[number]
+        own_tag = search.entries.tag[own]
+        column = search.entries.column[own]
         key = search.entries.key[own]
-        place = key >> search.columns.sweep_bits
-        until = key_of(search.columns, place, upper[search.columns.sweep])
-        slot = own + 1
-        while slot < search.entry_count and search.entries.key[slot] <= until:
-            if is_partner(search, a, slot, place, lower, upper):
-                b = search.entries.edge[slot]
-                if listing:
-                    insert(list_out, first, count, b)
-                count += 1
-                behind += wp.where(b > a, 1, 0)
-            slot += 1
-        slot = own - 1
-        while slot >= 0 and search.entries.furthest[slot] >= key:
-            if is_partner(search, a, slot, place, lower, upper):
-                b = search.entries.edge[slot]
-                if listing:
-                    insert(list_out, first, count, b)
-                count += 1
-                behind += wp.where(b > a, 1, 0)
+        until = search.entries.end[own]
+        # How far a's box begins, and ends from the other end: what another's must reach, lane by lane.
+        extent = FULLS - search.entries.extent[own]
+        extent = (extent >> (LANE + LANE)) | (extent << (LANE + LANE))
+        slot = own
+        while slot > 0 and search.entries.furthest[slot - 1] >= key:
             slot -= 1
+        while slot < search.entries.count and search.entries.key[slot] <= until:
+            # No lane borrows from its guard bit where it is at least a's.
+            if (((search.entries.extent[slot] | GUARDS) - extent) & GUARDS) == GUARDS:
+                tag = search.entries.tag[slot]
+                b = tag >> 2
+                # A pair counts in the column in which, along both sides, one of its boxes begins.
+                meets = ((tag | own_tag) & 3) == 3 and search.entries.column[slot] == column
+                if meets and search.entries.end[slot] >= key:
+                    if b >= begin and b < end:
+                        meets = may_meet_itself(search, a, b)
+                    elif prescribed:
+                        meets = search.edges.prescribed[b] == 0
+                    if meets:
+                        insert(list_out, first, count, limit, b)
+                        count += 1
+                        behind += wp.where(b > a, 1, 0)
+            slot += 1
     return wp.vec2i(count, behind)
 
 
 @wp.kernel(enable_backward=False)
-def count_partners(
-    first: int,
-    search: Search,
-    boxes: Boxes,
-    count_out: wp.array(dtype=wp.int32),
-    behind_out: wp.array(dtype=wp.int32),
-):
-    edge = first + wp.tid()
-    found = find_partners(search, boxes, edge, False, 0, count_out)
-    count_out[edge] = found[0]
-    behind_out[edge] = found[1]
-
-
-@wp.kernel(enable_backward=False)
-def list_partners(
-    first: int,
-    search: Search,
-    boxes: Boxes,
-    first_partner: wp.array(dtype=wp.int32),
-    partner_out: wp.array(dtype=wp.int32),
-):
-    edge = first + wp.tid()
-    if first_partner[edge] < first_partner[edge + 1]:
-        find_partners(search, boxes, edge, True, first_partner[edge], partner_out)
+def list_partners(first: int, search: Search, partners_out: Partners):
+    chunk = first + wp.tid()
+    begin = partners_out.room[chunk]
+    limit = partners_out.room[chunk + 1]
+    slot = begin
+    for edge in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, search.node_count)):
+        found = find_partners(search, edge, slot, limit, partners_out.edge)
+        partners_out.first[edge] = slot
+        partners_out.count[edge] = found[0]
+        partners_out.behind[edge] = found[1]
+        slot += found[0]
+    partners_out.needed[chunk] = slot - begin
 
 
 @wp.kernel(enable_backward=False)
 def number_pairs(
     first: int,
-    first_partner: wp.array(dtype=wp.int32),
-    partner: wp.array(dtype=wp.int32),
+    partners: Partners,
+    first_incident: wp.array(dtype=wp.int32),
     first_pair: wp.array(dtype=wp.int32),
     pairs_out: wp.array(dtype=wp.vec2i),
     incident_out: wp.array(dtype=wp.int32),
@@ -414,16 +412,18 @@ def number_pairs(
     """Pairs in the order of their first edges; each edge's own, in the order of its partners."""
     edge = first + wp.tid()
     pair = first_pair[edge]
-    for slot in range(first_partner[edge], first_partner[edge + 1]):
-        other = partner[slot]
+    begin = partners.first[edge]
+    incident = first_incident[edge]
+    for k in range(partners.count[edge]):
+        other = partners.edge[begin + k]
         if other > edge:
             pairs_out[pair] = wp.vec2i(edge, other)
-            incident_out[slot] = 2 * pair
+            incident_out[incident + k] = 2 * pair
             pair += 1
         else:
-            # The other's pairs are numbered from its last partners backwards.
-            last = first_partner[other + 1] - 1
+            # The other's pairs are those with its last partners: counted from the end.
+            last = partners.first[other] + partners.count[other] - 1
             rank = wp.int32(0)
-            while partner[last - rank] != edge:
+            while partners.edge[last - rank] != edge:
                 rank += 1
-            incident_out[slot] = 2 * (first_pair[other + 1] - 1 - rank) + 1
+            incident_out[incident + k] = 2 * (first_pair[other + 1] - 1 - rank) + 1

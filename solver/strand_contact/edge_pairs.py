@@ -9,17 +9,19 @@ import warp as wp
 
 from plait.solver.launch import Launcher
 from plait.solver.strand_contact.edge_pair_kernels import (
+    CHUNK,
     RUN,
     Boxes,
     Columns,
     Edges,
     Entries,
+    Entry,
     Motion,
+    Partners,
     Search,
     StrandBoxes,
     bound_strands,
     count_entries,
-    count_partners,
     end_runs,
     find_furthest,
     gather_entries,
@@ -35,12 +37,16 @@ SAMPLES = 256
 LARGEST_TURN = 1.0
 # A column is so many mean boxes wide.
 COLUMN = 2.0
-# Places of the table of columns, and bits of a key, which must stay positive.
-LARGEST_TABLE_BITS, KEY_BITS = 17, 31
+# No box spans more columns along a side, and no side has more, by `LAST_COLUMN`.
+MAX_SPAN, MAX_COLUMNS = 32.0, 32000.0
+# Bits of a key, which must stay positive: at most so many for the table of columns, and for the way along them.
+KEY_BITS, LARGEST_TABLE_BITS, LARGEST_SWEEP_BITS = 31, 17, 20
+# Partners an edge for which room is kept at first.
+FIRST_ROOM = 16
 # Comparisons of strands' boxes a strand, beyond which what has met none is taken as near.
 ROUNDS = 64
 # Costs in units of `Launcher.launch`.
-BOUND_WORK, ENTER_WORK, SEARCH_WORK, NUMBER_WORK = 3, 3, 10, 5
+BOUND_WORK, ENTER_WORK, RUN_WORK, SEARCH_WORK, NUMBER_WORK = 3, 3, 200, 15, 5
 
 
 class EdgePairs:
@@ -76,9 +82,17 @@ class EdgePairs:
             boxes.lower = self._full(count, wp.vec3f, 1.0)
             boxes.upper = self._full(count, wp.vec3f, -1.0)
         self._strand_boxes.extent = self._full(self._strand_count, wp.vec3f)
+        self._strand_boxes.largest = self._full(self._strand_count, wp.vec3f)
         self._strand_boxes.turning = self._full(self._strand_count, wp.int32)
         self._buffers: dict[str, wp.array] = {}
-        self._node_counts = [self._full(self._node_count + 1, wp.int32) for _ in range(2)]
+        chunks = -(-self._node_count // CHUNK)
+        self._partners = Partners()
+        self._partners.first = self._full(self._node_count, wp.int32)
+        # One more than is written, 0, so that running sums end with the whole.
+        self._partners.count = self._full(self._node_count + 1, wp.int32)
+        self._partners.behind = self._full(self._node_count + 1, wp.int32)
+        self._partners.needed = self._full(chunks, wp.int32)
+        self._room = np.full(chunks, CHUNK * FIRST_ROOM, dtype=np.int64)
         self.first = self._full(self._node_count + 1, wp.int32)
         self._first_entry = self._full(self._node_count + 1, wp.int32)
         self._first_pair = self._full(self._node_count + 1, wp.int32)
@@ -99,10 +113,9 @@ class EdgePairs:
         if not near.any():
             self._clear()
             return False
-        columns = self._lay_columns(near)
         search = Search()
-        search.edges, search.columns, search.start, search.end = self._edges, columns, start, end
-        search.entries, search.entry_count = self._enter(columns, near)
+        search.edges, search.start, search.end = self._edges, start, end
+        search.entries, search.node_count = self._enter(self._lay_columns(near), near), self._node_count
         return self._collect(search)
 
     # -- which strands -------------------------------------------------------------------------------------
@@ -139,9 +152,10 @@ class EdgePairs:
         size = np.maximum(boxes.upper.numpy()[near].max(axis=0) - lower, np.finfo(np.float32).tiny)
         edge_count = (np.diff(self._first_node) - 2)[near].sum()
         mean = boxes.extent.numpy()[near].sum(axis=0, dtype=float) / edge_count
+        largest = boxes.largest.numpy()[near].max(axis=0)
         sweep = int(np.argmax(size))
         across = [axis for axis in range(3) if axis != sweep]
-        width = np.maximum(COLUMN * mean[across], 1e-6 * size[across])
+        width = np.maximum(COLUMN * mean, np.maximum(largest / MAX_SPAN, size / MAX_COLUMNS))[across]
         bits = np.ceil(np.log2(size[across] / width + 1.0)).astype(int)
         while bits.sum() > LARGEST_TABLE_BITS:
             bits[np.argmax(bits)] -= 1
@@ -150,52 +164,62 @@ class EdgePairs:
         columns.origin = wp.vec3f(*(float(x) for x in lower))
         columns.per_column = wp.vec2f(*(float(1.0 / w) for w in width))
         columns.bits = wp.vec2i(*(int(b) for b in bits))
-        columns.sweep_bits = min(20, KEY_BITS - int(bits.sum()))
+        columns.sweep_bits = min(LARGEST_SWEEP_BITS, KEY_BITS - int(bits.sum()))
         columns.per_step = float(2.0**columns.sweep_bits / size[sweep])
         return columns
 
-    def _enter(self, columns: Columns, near: np.ndarray) -> tuple[Entries, int]:
+    def _enter(self, columns: Columns, near: np.ndarray) -> Entries:
         """The edges of strands that are near, in their columns, sorted."""
         launch, nodes = self._launcher.launch, self._node_count
-        counts = self._node_counts[0]
         flags = wp.array(near.astype(np.int32), dtype=wp.int32, device=self._launcher.device)
         inputs = [columns, self._edges.strand, flags, self._boxes]
+        counts = self._partners.count
         launch(count_entries, nodes, inputs, [counts], work_per_item=ENTER_WORK)
-        count = _scan(counts, self._first_entry)
         entries = Entries()
         entries.first = self._first_entry
+        entries.count = count = _scan(counts, self._first_entry)
         entries.key = self._buffer("key", wp.int32, 2 * count)  # sorting takes twice the room
-        for name, dtype in (("edge", wp.int32), ("lower", wp.vec3f), ("upper", wp.vec3f)):
-            setattr(entries, name, self._buffer(name, dtype, count))
-        entries.furthest = self._buffer("furthest", wp.int32, count)
-        entries.place = self._buffer("place", wp.int32, count)
-        number, edge = self._buffer("number", wp.int32, 2 * count), self._buffer("entered", wp.int32, count)
+        for name in ("end", "column", "tag", "furthest", "place"):
+            setattr(entries, name, self._buffer(name, wp.int32, count))
+        entries.extent = self._buffer("extent", wp.uint64, count)
+        number, entry = self._buffer("number", wp.int32, 2 * count), self._buffer("entry", Entry, count)
         inputs = [columns, self._boxes, self._first_entry]
-        launch(write_entries, nodes, inputs, [entries.key, number, edge], work_per_item=ENTER_WORK)
+        launch(write_entries, nodes, inputs, [entries.key, number, entry], work_per_item=ENTER_WORK)
         wp.utils.radix_sort_pairs(entries.key, number, count)
-        launch(gather_entries, count, [number, edge, self._boxes], [entries], work_per_item=ENTER_WORK)
+        launch(gather_entries, count, [number, entry], [entries], work_per_item=ENTER_WORK)
         runs = -(-count // RUN)
         last = self._buffer("last", wp.int32, runs)
-        launch(end_runs, runs, [columns, count, entries], [last], work_per_item=RUN)
-        launch(find_furthest, runs, [columns, count, last], [entries], work_per_item=RUN)
-        return entries, count
+        launch(end_runs, runs, [count, entries.end], [last], work_per_item=RUN_WORK)
+        launch(find_furthest, runs, [count, entries.end, last], [entries.furthest], work_per_item=RUN_WORK)
+        return entries
+
+    def _list_partners(self, search: Search) -> None:
+        """Every edge's partners into the room kept for its chunk, which grows where it was too small."""
+        partners, chunks = self._partners, len(self._room)
+        while True:
+            room = np.concatenate([[0], np.cumsum(self._room)])
+            partners.room = wp.array(room, dtype=wp.int32, device=self._launcher.device)
+            partners.edge = self._buffer("partner", wp.int32, int(room[-1]))
+            self._launcher.launch(list_partners, chunks, [search], [partners], work_per_item=CHUNK * SEARCH_WORK)
+            needed = partners.needed.numpy()
+            short = needed > self._room
+            if not short.any():
+                return
+            self._room[short] = needed[short] + needed[short] // 2
 
     def _collect(self, search: Search) -> bool:
-        """Partners counted, then listed, then numbered as pairs."""
-        launch, nodes = self._launcher.launch, self._node_count
-        inputs = [search, self._boxes]
-        launch(count_partners, nodes, inputs, self._node_counts, work_per_item=SEARCH_WORK)
-        total = _scan(self._node_counts[0], self.first)
-        self.count = _scan(self._node_counts[1], self._first_pair)
+        """Partners listed, then numbered as pairs."""
+        self._list_partners(search)
+        partners, nodes = self._partners, self._node_count
+        total = _scan(partners.count, self.first)
+        self.count = _scan(partners.behind, self._first_pair)
         if self.count == 0:
             self._clear()
             return False
-        partner = self._buffer("partner", wp.int32, total)
         self.pairs = self._buffer("pairs", wp.vec2i, self.count)[: self.count]
         self.incident = self._buffer("incident", wp.int32, total)[:total]
-        launch(list_partners, nodes, [*inputs, self.first], [partner], work_per_item=SEARCH_WORK)
-        inputs = [self.first, partner, self._first_pair]
-        launch(number_pairs, nodes, inputs, [self.pairs, self.incident], work_per_item=NUMBER_WORK)
+        inputs, outputs = [partners, self.first, self._first_pair], [self.pairs, self.incident]
+        self._launcher.launch(number_pairs, nodes, inputs, outputs, work_per_item=NUMBER_WORK)
         first = self.first.numpy()[self._first_node]
         self.near = first[1:] > first[:-1]
         return True
@@ -255,7 +279,7 @@ def _common_motion(start: wp.array, end: wp.array, half_margin: float) -> Motion
     leaves its chord by at most tan(theta / 2) / 2 |e|; and A shrinks no vector below cos(theta / 2) of its length.
     """
     stride = max(1, len(start) // SAMPLES)
-    x, y = (np.array(points[::stride].numpy()) for points in (start, end))
+    x, y = (_sample(points, stride) for points in (start, end))
     finite = np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
     motion = Motion()
     motion.margin = half_margin
@@ -273,3 +297,8 @@ def _common_motion(start: wp.array, end: wp.array, half_margin: float) -> Motion
         motion.bulge = 0.5 * np.tan(half_turn)
         motion.widen = 1.0 / np.cos(half_turn)
     return motion
+
+
+def _sample(points: wp.array, stride: int) -> np.ndarray:
+    """Every `stride`-th point; only those leave a device."""
+    return points.numpy()[::stride] if points.device.is_cpu else points[::stride].numpy()

@@ -1,0 +1,41 @@
+"""Counts strands that have passed through each other: an independent judge of what was committed."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from plait.solver.launch import Launcher
+from plait.solver.strand_contact.edge_pairs import EdgePairs
+from plait.solver.strand_contact.missed_kernels import find_missed
+from plait.solver.strands.layout import Layout
+
+# Cost of a pair in units of `Launcher.launch`.
+PAIR_WORK = 20
+
+
+class MissedCollisions:
+    """Pairs of edges that touch at any time between two poses, their nodes moving linearly.
+
+    Every pair of edges without a common node is looked at whose swept boxes overlap, without any padding; whether
+    they touch is told by the roots of the cubic of coplanarity (`missed_kernels`), nothing that the solver uses to
+    keep strands apart. Edges nearer than 1e-9 of their length touch.
+
+    pairs: (n, 2) int32, edges (a, b) that touched in the last `count`.
+    """
+
+    def __init__(self, launcher: Launcher, layout: Layout) -> None:
+        self._launcher = launcher
+        nodes = layout.node_count
+        self._edge_pairs = EdgePairs(launcher, layout, np.zeros(nodes), prescribed=np.zeros(nodes, dtype=bool))
+        self.pairs = np.zeros((0, 2), dtype=np.int32)
+
+    def count(self, start: wp.array, end: wp.array) -> int:
+        """How many pairs touched. start, end: (node_count,) vec3d [m] world, two poses in turn."""
+        found = self._edge_pairs
+        found.find(start, end, 0.0)
+        missed = wp.empty(found.count, dtype=wp.int32, device=self._launcher.device)
+        inputs = [found.pairs, start, end]
+        self._launcher.launch(find_missed, found.count, inputs, [missed], work_per_item=PAIR_WORK)
+        self.pairs = found.pairs.numpy()[missed.numpy() == 1]
+        return len(self.pairs)
