@@ -110,10 +110,11 @@ def _in_words(groom: Groom, grooms: Sequence[Groom], reason: str) -> str:
     parts = []
     if groom.leaders:
         count, total = int(groom.simulated.sum()), len(groom.simulated)
-        parts.append(f"{count} of {total} strands are guides ({groom.mark}), the others follow")
+        parts.append(f"{count} of {total} strands, by {groom.mark}; the others follow")
     if following:
-        parts.append(f"{', '.join(following)} follows")
-    return ", ".join(parts)
+        mark = f"by {groom.mark}; " if groom.mark and not groom.leaders else ""
+        parts.append(f"{mark}followed by {', '.join(following)}")
+    return "; ".join(parts)
 
 
 def bind(roots: np.ndarray, guides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -251,7 +251,7 @@ def _led(shot: Shot) -> dict[str, int]:
 def test_told_by_inspect(tmp_path):
     shot = _read(tmp_path, SEPARATE)
     reports = _reports(shot)
-    assert reports["Guides"] == ("strands", "/World/Hair follows")
+    assert reports["Guides"] == ("strands", "by purpose guide; followed by /World/Hair")
     followed = "13 strands follow the nearest of 5 guides in /World/Guides (on the same skin)"
     assert reports["Hair"] == ("interpolated", followed)
     sizes = inspect.as_data(shot)["sizes"]
@@ -261,7 +261,7 @@ def test_told_by_inspect(tmp_path):
 
 def test_marked_among_others(tmp_path):
     shot = _read(tmp_path, TOGETHER)
-    assert _reports(shot)["Hair"] == ("strands", "5 of 18 strands are guides (groom_guide), the others follow")
+    assert _reports(shot)["Hair"] == ("strands", "5 of 18 strands, by groom_guide; the others follow")
     np.testing.assert_allclose(
         shot.scene.strands[0].points + shot.scene.origin, GUIDES.reshape(-1, 3) * 0.01, atol=1e-7
     )

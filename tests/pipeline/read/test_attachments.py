@@ -200,6 +200,35 @@ def test_on_a_skin_drawn_in_its_bind_pose(read) -> None:
     np.testing.assert_allclose(_places(shot, held, 10.0), [(0, 5.5, 9), (1.2, 5.5, 9), (1.5, 5.5, 9)], atol=1e-6)
 
 
+def test_on_flesh_and_on_what_is_drawn_in_its_tets(read) -> None:
+    """Both are held to the skin of the simulated body."""
+    body = """
+    def Xform "Block" (prepend apiSchemas = ["PhysicsDeformableBodyAPI", "PhysicsVolumeDeformableSimAPI"])
+    {
+        def TetMesh "Tets"
+        {
+            point3f[] points = [(-4, 2.5, -4), (8, 2.5, -4), (0, 2.5, 8), (0, 9, 0)]
+            int4[] tetVertexIndices = [(0, 2, 1, 3)]
+            int3[] surfaceFaceVertexIndices = [(0, 1, 2), (0, 3, 1), (1, 3, 2), (0, 2, 3)]
+        }
+        def Mesh "Seen"
+        {
+            int[] faceVertexCounts = [3]
+            int[] faceVertexIndices = [0, 1, 2]
+            point3f[] points = [(-1, 2.6, -1), (2, 2.6, -1), (0, 2.6, 2)]
+        }
+    }
+    """
+    role = 'token plait:role = "strands"'
+    for target in ("Tets", "Seen"):
+        shot = _shot(read, role, f"rel plait:attach:pin = </World/Block/{target}>", others=body)
+        (held,) = shot.scene.attachments
+        assert shot.scene.surfaces[held.surface].body == 0
+        np.testing.assert_allclose(
+            _places(shot, held, 1.0), [(0, 2.5, 0), (1.2, 2.5, 0), (1.5, 2.5, 0)], atol=1e-6
+        )
+
+
 def test_told_where_it_has_no_effect(read) -> None:
     table = TABLE.replace(
         "int[] faceVertexCounts", "rel plait:attach:pin = </World>\n        int[] faceVertexCounts"
