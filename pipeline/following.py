@@ -24,12 +24,12 @@ POINT_WORK = 12
 class Following:
     """All curves of a run that follow guides."""
 
-    def __init__(self, followers: Sequence[Followers], parts: Mapping[str, Any], directed: bool) -> None:
+    def __init__(self, followers: Sequence[Followers], parts: Mapping[str, Any], turning: bool) -> None:
         """parts: `Model.parts`, just built: strands lie as drawn, carried rigidly by their roots.
 
-        directed: whether directors are asked for.
+        turning: whether some have normals, and so directors and rotations are asked for.
         """
-        self._directed = directed
+        self._turning = turning
         self._strands, self._kinematics, self._tets = parts["strands"], parts["kinematics"], parts.get("tets")
         model = self._kinematics.model
         self._scene, self._launcher = model.scene, model.launcher
@@ -50,16 +50,14 @@ class Following:
         """Of each of the `followers`, the strands being where they are at `time` [s]."""
         earlier, _ = self._at(time, -DIFFERENCE)
         points, rotation = self._at(time, 0.0)
-        velocities, rotations, directors = (
-            (points - earlier) / DIFFERENCE,
-            rotation.numpy(),
-            self._directors(rotation),
-        )
+        velocities = (points - earlier) / DIFFERENCE
+        directors, rotations = (self._directors(rotation), rotation.numpy()) if self._turning else (None, None)
         result = []
         for k in range(len(self._followers)):
             mine = slice(self._first_point[k], self._first_point[k + 1])
             own = slice(self._first_curve[k], self._first_curve[k + 1])
-            result.append(CurvesNow(points[mine], velocities[mine], directors[mine], rotations[own]))
+            turned = (directors[mine], rotations[own]) if self._turning else ()
+            result.append(CurvesNow(points[mine], velocities[mine], *turned))
         return tuple(result)
 
     # --- at rest ----------------------------------------------------------------------------------------------
@@ -147,13 +145,10 @@ class Following:
         return points.numpy(), rotation[total:]
 
     def _directors(self, rotation: wp.array) -> np.ndarray:
-        """Of the guides as they were last bent; zeros where nobody asks for them."""
+        """(n, 3) by the guides as they were last bent; without meaning at tips."""
         directors = wp.zeros(self._point_count, dtype=wp.vec3d, device=self._launcher.device)
-        if self._directed:
-            inputs = [self._guides, self._bent, self._follow, rotation]
-            self._launcher.launch(
-                kernels.turn_directors, self._count, inputs, [directors], work_per_item=self._work
-            )
+        inputs = [self._guides, self._bent, self._follow, rotation]
+        self._launcher.launch(kernels.turn_directors, self._count, inputs, [directors], work_per_item=self._work)
         return directors.numpy()
 
     def _skins(self, later: float) -> dict[int, Callable[[wp.array, wp.array], None]]:

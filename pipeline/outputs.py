@@ -32,8 +32,8 @@ class Outputs:
             # Here, so that a shot without guides compiles nothing for it.
             from plait.pipeline.following import Following
 
-            directed = any(output.followers and output.normals for output in shot.curves)
-            self._following = Following(followers, parts, directed)
+            turning = any(output.followers and output.normals for output in shot.curves)
+            self._following = Following(followers, parts, turning)
         self._normals = self._carried_normals(shot, parts["kinematics"].model.start_time) if shot.curves else {}
         self._normals |= {
             output.prim_path: SurfaceNormals(output.normals)
@@ -66,9 +66,8 @@ class Outputs:
         followers, stage, prim = output.followers, self._strands, output.strands
         if prim is None:
             return next(following)
-        own = CurvesNow(
-            stage.points(prim), stage.velocities(prim), stage.directors(prim), stage.root_rotations(prim)
-        )
+        turning = (stage.directors(prim), stage.root_rotations(prim)) if output.normals is not None else ()
+        own = CurvesNow(stage.points(prim), stage.velocities(prim), *turning)
         return own if followers is None else followers.among(own, next(following))
 
     def _curve_frame(self, output: CurveOutput, now: CurvesNow, time: float) -> PrimFrame:

@@ -100,14 +100,15 @@ def as_drawn(strands: Strands) -> np.ndarray:
 class CurvesNow:
     """A prim's strands at one instant, scene world.
 
-    points, velocities: (n, 3) float64 [m], [m/s].  directors: (n, 3), unit, across the segment that begins at each
-    point.  rotations: (strand_count, 3, 3), from rest space, of the roots.
+    points, velocities: (n, 3) float64 [m], [m/s].
+    directors: (n, 3), unit, across the segment that begins at each point.  rotations: (strand_count, 3, 3), from
+        rest space, of the roots. Both are None where the prim has no normals to turn.
     """
 
     points: np.ndarray
     velocities: np.ndarray
-    directors: np.ndarray
-    rotations: np.ndarray
+    directors: np.ndarray | None = None
+    rotations: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,9 @@ class Followers:
         strands = np.ones(len(self.offsets) - 1, dtype=bool)
         points[self.points], strands[self.strands] = False, False
 
-        def merge(own: np.ndarray, others: np.ndarray, mine: np.ndarray) -> np.ndarray:
+        def merge(own: np.ndarray | None, others: np.ndarray | None, mine: np.ndarray) -> np.ndarray | None:
+            if own is None or others is None:
+                return None
             result = np.empty((len(mine), *own.shape[1:]))
             result[mine], result[~mine] = own, others
             return result
