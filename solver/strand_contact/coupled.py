@@ -36,6 +36,14 @@ CALM = 0.03
 OVERLAP = 0.1
 # A pass that moves no node further than this part of a segment, with nothing out of place, is the last.
 SETTLED = 0.03
+# Passes with full steps; what then still goes to and fro is damped.
+UNRELAXED, RELAXED = 5, 0.6
+# What passes that are at an end may leave: how far a node still moves, of a segment, and how near contacts are.
+UNSETTLED, DEEPEST = 0.3, 0.6
+# Strands that would go further through each other than this part of a segment take shorter steps at once.
+FURTHEST = 1.0
+# As a last resort strands go half, a quarter, ... of their way, so often, then none of it.
+HALVINGS = 6
 # Pairs are found this much further apart than they interact, over the distance.
 MARGIN = 0.5
 # Cost of an item in units of `Launcher.launch`.
@@ -64,6 +72,7 @@ class Tally:
     passes: int = 0
     linear_iterations: int = 0
     contacts: int = 0
+    held_back: int = 0
 
 
 class StrandContact:
@@ -116,15 +125,18 @@ class StrandContact:
         self._strands = np.zeros(0, dtype=np.int32)
         self._take_pairs(self._held)
 
-    def solve(self, result: Any, planes: ContactPlanes, constrained: bool) -> bool:
+    def solve(self, result: Any, planes: ContactPlanes, constrained: bool, last_resort: bool) -> bool:
         """Solves the strands near each other into `result`; whether that stands.
 
-        After `begin`; again from where it ended, with other planes, as often as need be.
+        After `begin`; again from where it ended, with other planes, as often as need be. As a last resort what is
+        still going through something is held back, and all stands.
         """
+        if not last_resort and self._too_fast():
+            return False
         self._prepare(planes, constrained)
         stands = False
         for done in range(self._settings.passes + 1):
-            if done and float(self._stray.numpy()[: self._count].max()) > 0.5 * self._margin:
+            if done and self._largest(self._stray) > 0.5 * self._margin:
                 self._find_again(planes, constrained)
             self._locate()
             if done and self._settled():
@@ -132,10 +144,15 @@ class StrandContact:
                 break
             if done == self._settings.passes:
                 break
+            self._relaxation.fill_(1.0 if done < UNRELAXED else RELAXED)
             self._newton()
-            self._press(self._furthest_move() < CALM)
+            self._press(self._largest(self._furthest) < CALM)
             self.tally.passes += 1
+        stands = stands or self._harmless()
         inputs = [self._active, self._method, self._rods, self._roots, self._scratch, self._position]
+        if not stands and last_resort:
+            self._hold_back(planes, constrained)
+            stands = True
         self._launch(self._kernels.finish, inputs, [result])
         return stands
 
@@ -182,6 +199,15 @@ class StrandContact:
         inputs = [self.pairs.first, self.pairs.incident, self._meetings]
         self._launcher.launch(remember, self._layout.node_count - 1, inputs, [forces], work_per_item=PAIR_WORK)
 
+    def _too_fast(self) -> bool:
+        """Whether strands on their way without contact go further through each other than passes can put right."""
+        inputs = [self._reach, self._stiffness, self._start, self._expected]
+        self._launcher.launch(locate, self.pairs.count, inputs, [self._meetings], work_per_item=LOCATE_WORK)
+        through = np.flatnonzero(self._meetings.crossing.numpy()[: self.pairs.count])
+        edges = self._meetings.edges.numpy()[through]
+        segment = self._layout.mean_segment[self._layout.node_strand[edges]].min(axis=1)
+        return bool((-self._meetings.gap.numpy()[through] > FURTHEST * segment).any())
+
     # -- a Newton pass -------------------------------------------------------------------------------------
 
     def _prepare(self, planes: ContactPlanes, constrained: bool) -> None:
@@ -213,7 +239,7 @@ class StrandContact:
         self._search = of_strands(kernels.search, [active, self._beta, rods, scratch], [krylov])
         self._advance = of_strands(
             kernels.advance,
-            [*system, krylov, scratch, self._expected],
+            [*system, self._relaxation, krylov, scratch, self._expected],
             [self._position, self._furthest, self._stray],
         )
 
@@ -255,10 +281,41 @@ class StrandContact:
             return False
         gap, allowed = meetings.gap.numpy()[:count], OVERLAP * meetings.target.numpy()[:count]
         under = (gap < -allowed) | ((gap > allowed) & (meetings.pressure.numpy()[:count] > 0.0))
-        return not under.any() and self._furthest_move() <= SETTLED
+        return not under.any() and self._largest(self._furthest) <= SETTLED
 
-    def _furthest_move(self) -> float:
-        return float(self._furthest.numpy()[: self._count].max())
+    def _harmless(self) -> bool:
+        """Whether what the last pass left out of place, it left outside of each other."""
+        count, meetings = self.pairs.count, self._meetings
+        if meetings.crossing.numpy()[:count].any() or self._largest(self._furthest) > UNSETTLED:
+            return False
+        return bool((meetings.gap.numpy()[:count] >= -DEEPEST * meetings.target.numpy()[:count]).all())
+
+    def _hold_back(self, planes: ContactPlanes, constrained: bool) -> None:
+        """Strands that still go through others go less far, in the end no further than their roots carry them."""
+        whole = wp.clone(self._position)
+        part = np.ones(self._layout.strand_count)
+        strand_of = self._layout.node_strand
+        for _ in range(HALVINGS + 1):
+            through = self.pairs.pairs.numpy()[: self.pairs.count][
+                self._meetings.crossing.numpy()[: self.pairs.count] > 0
+            ]
+            if not len(through):
+                break
+            strands = np.unique(strand_of[through])
+            part[strands] = np.where(part[strands] > 0.5**HALVINGS, 0.5 * part[strands], 0.0)
+            self.tally.held_back += len(strands)
+            self._hold_part(part, whole)
+            self._find_again(planes, constrained)
+            self._locate()
+
+    def _hold_part(self, part: np.ndarray, whole: wp.array) -> None:
+        parts = wp.array(part[self._strands], dtype=wp.float64, device=self._launcher.device)
+        inputs = [self._active, parts, self._rods, self._state, self._roots, whole]
+        self._launch(self._kernels.hold_back, inputs, [self._scratch, self._position])
+
+    def _largest(self, values: wp.array) -> float:
+        """Of one entry an active strand."""
+        return float(values.numpy()[: self._count].max())
 
     def _products(self) -> float:
         return float(self._product.numpy()[: self._count].sum())
@@ -286,7 +343,9 @@ class StrandContact:
         self._product, self._furthest, self._stray = (
             wp.zeros(strands, dtype=wp.float64, device=device) for _ in range(3)
         )
-        self._alpha, self._beta = (wp.zeros(1, dtype=wp.float64, device=device) for _ in range(2))
+        self._alpha, self._beta, self._relaxation = (
+            wp.zeros(1, dtype=wp.float64, device=device) for _ in range(3)
+        )
         self._definite = wp.zeros(strands, dtype=wp.int32, device=device)
 
     def _hold_pairs(self) -> None:

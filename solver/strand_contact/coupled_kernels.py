@@ -304,6 +304,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         constrained: bool,
         roots: Roots,
         inertia: wp.array(dtype=real),
+        relaxation: wp.array(dtype=wp.float64),
         krylov: Krylov,
         scratch: Scratch,
         expected: wp.array(dtype=wp.vec3d),
@@ -311,7 +312,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         furthest_out: wp.array(dtype=wp.float64),
         stray_out: wp.array(dtype=wp.float64),
     ):
-        """Takes the step, or so much of it that no edge turns too far at once.
+        """Takes the step, or `relaxation` of it, or so much that no edge turns too far at once.
 
         furthest_out: longest displacement asked for, over the strand's segments; one entry an item.
         stray_out: [m] the furthest that a node now is from where pairs were found for, `expected`; the same.
@@ -334,8 +335,8 @@ def coupled_kernels(real: type) -> SimpleNamespace:
             turn = wp.max(turn, wp.max(z[0] * z[0], wp.dot(across, across)))
             moved = d
         turn = wp.sqrt(turn)
-        fraction = real(1.0)
-        if turn > real(LARGEST_TURN):
+        fraction = real(relaxation[0])
+        if fraction * turn > real(LARGEST_TURN):
             fraction = real(LARGEST_TURN) / turn
         advance_strand(
             rods, scratch, planes, constrained, root, wp.float64(0.0), strand, base, 1, inertia[strand], fraction
@@ -347,6 +348,31 @@ def coupled_kernels(real: type) -> SimpleNamespace:
             stray = wp.max(stray, wp.length(x - expected[node]))
         stray_out[item] = stray
         furthest_out[item] = wp.float64(wp.sqrt(furthest) / rods.segment[strand])
+
+    @kernel
+    def hold_back(
+        first: int,
+        strands: wp.array(dtype=wp.int32),
+        part: wp.array(dtype=wp.float64),
+        rods: Rods,
+        state: RodState,
+        roots: Roots,
+        whole: wp.array(dtype=wp.vec3d),
+        scratch: Scratch,
+        position_out: wp.array(dtype=wp.vec3d),
+    ):
+        """Lets a strand go only `part` of its way to `whole`, from where its root alone would carry it."""
+        item = first + wp.tid()
+        strand = strands[item]
+        root = roots.position[strand]
+        before = state.root_position[strand]
+        turn = roots.rotation[strand] * wp.transpose(state.root_rotation[strand])
+        base = rods.first_node[strand]
+        for node in range(base + 2, rods.first_node[strand + 1]):
+            carried = turn * (state.position[node] - before) + root
+            x = carried + part[item] * (whole[node] - carried)
+            position_out[node] = x
+            scratch.position[node] = vec3(x - root)
 
     @kernel
     def finish(
@@ -381,6 +407,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         descend=descend,
         search=search,
         advance=advance,
+        hold_back=hold_back,
         finish=finish,
         Krylov=Krylov,
     )

@@ -229,19 +229,19 @@ class StrandsStage:
             else:
                 self._solve(self._method, self._result, self._all, constrained=False)
             if stands and meetings is not None and meetings.find(self._held.position, self._result.position):
-                stands = self._meet(touching) or last_resort
+                stands = self._meet(touching, last_resort)
             if stands:
                 self._commit(substep, touching)
         self._count(stands)
         return stands
 
-    def _meet(self, touching: bool) -> bool:
+    def _meet(self, touching: bool, last_resort: bool) -> bool:
         """Solves strands that meet together, and finds the planes in their way, in turns; whether that stands."""
         meetings, contact, held, result = self._meetings, self._contact, self._held, self._result
         meetings.begin(self._method, held, result, self._roots())
         planes = contact.planes if touching else self._no_planes
         for _ in range(self._model.settings.contact.passes):
-            stands = meetings.solve(result, planes, touching)
+            stands = meetings.solve(result, planes, touching, last_resort)
             if not touching:
                 break
             self._flags.assign(meetings.pairs.near.astype(np.int32))
