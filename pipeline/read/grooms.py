@@ -17,6 +17,7 @@ from plait.pipeline.read.motions import WorldToLocal
 from plait.pipeline.read.normals import read_normals
 from plait.pipeline.read.parameter_table import STRANDS
 from plait.pipeline.read.roles import Role
+from plait.pipeline.read.roots import Rooted
 from plait.pipeline.read.skeletons import Skeletons
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Bodies
@@ -105,12 +106,10 @@ class Assembly:
         lines, _ = groom.lines.select(chosen)
         free = groom.free[chosen] if groom.free.any() else None
         rooted = groom.rooted.select(chosen)
-        binding = self._binding(groom, chosen)
-        held = strands.build(self._source, groom.curves, lines, rooted, binding, groom.given, free)
+        held = strands.build(self._source, groom.curves, lines, rooted, self._binding(rooted), groom.given, free)
         return _Part(len(self._parts), first, held, lines.point_map)
 
-    def _binding(self, groom: Groom, chosen: np.ndarray) -> RootBinding:
-        rooted = groom.rooted.select(chosen)
+    def _binding(self, rooted: Rooted) -> RootBinding:
         surface = next(i for i, s in enumerate(self._surfaces) if s.name == rooted.surface.name)
         return RootBinding(surface, rooted.triangle, rooted.barycentric)
 
@@ -133,8 +132,8 @@ class Assembly:
     def _followers(self, groom: Groom) -> Followers:
         chosen = ~groom.simulated
         lines, points = groom.lines.select(chosen)
-        binding = self._binding(groom, chosen)
-        held = strands.unsimulated(self._source, groom.curves, lines, groom.rooted.select(chosen), binding)
+        rooted = groom.rooted.select(chosen)
+        held = strands.unsimulated(self._source, groom.curves, lines, rooted, self._binding(rooted))
         leading = [self._parts[leader.path] for leader in groom.leaders]
         numbers = np.concatenate([part.first + np.arange(part.strands.strand_count) for part in leading])
         roots = np.concatenate([as_drawn(part.strands)[part.strands.offsets[:-1]] for part in leading])

@@ -42,7 +42,8 @@ def read_marks(source: Source, curves: Curves) -> tuple[np.ndarray, str]:
     if len(given) not in (1, count):
         mend = f"author a value a curve, or one for all: interpolation uniform, {count} values"
         raise source.error(f"has {len(given)} values for {count} curves", prim, primvar.GetName(), mend)
-    return np.broadcast_to(given.ravel()[:count] > 0.0, count), MARK
+    marked = np.broadcast_to(given.ravel()[:count] > 0.0, count)
+    return marked, MARK if marked.any() else ""
 
 
 def choose_leaders(source: Source, grooms: Sequence[Groom]) -> None:

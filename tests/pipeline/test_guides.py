@@ -267,6 +267,17 @@ def test_marked_among_others(tmp_path):
     )
 
 
+def test_marked_prim_by_prim(tmp_path):
+    """One for guides, zero for the rest, each for a whole prim; it counts for more than the purpose."""
+    mark = "int primvars:groom_guide = {} (interpolation = 'constant')"
+    guides, hair = _curves("Guides", GUIDES, mark.format(1)), _curves("Hair", OTHERS, mark.format(0))
+    shot = _read(tmp_path, PLATE + guides + hair)
+    assert _led(shot) == {"Guides": 0, "Hair": 13}
+    assert not any("guide" in warning for warning in shot.warnings)
+    shot = _read(tmp_path, PLATE + guides + _curves("Hair", OTHERS, mark.format(0), GUIDE_PURPOSE), "purpose")
+    assert _led(shot)["Hair"] == 13
+
+
 def test_without_marks_all_are_simulated(tmp_path):
     shot = _read(tmp_path, PLATE + _curves("Guides", GUIDES) + _curves("Hair", OTHERS))
     assert _led(shot) == {"Guides": 0, "Hair": 0}
