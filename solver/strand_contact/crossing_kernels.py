@@ -27,7 +27,7 @@ ROUNDING = wp.constant(wp.float64(1.0e-14))
 NO_GAP = wp.constant(wp.float64(1.0e-12))
 # A first touch is found when the gap left is within this part of the distance asked for.
 NEAR_ENOUGH = wp.constant(wp.float64(0.1))
-MAX_ADVANCES = wp.constant(64)
+MAX_ADVANCES = wp.constant(256)
 NEVER = wp.constant(wp.float64(2.0))
 
 
