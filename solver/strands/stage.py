@@ -22,6 +22,7 @@ from plait.solver.strands.types import rod_types
 if TYPE_CHECKING:
     from plait.solver.contact.reaction import SkinReaction
     from plait.solver.strand_contact.coupled import StrandContact
+    from plait.solver.strand_contact.paper import PaperStrandContact
 
 # A strand that does not converge is stepped in halves, quarters, ... of its substep, down to this many parts.
 MAX_PIECES = 16
@@ -70,7 +71,8 @@ class StrandsStage:
         self._reaction: SkinReaction | None = None
         self._contact = self._make_contact(state)
         self._meetings = self._make_meetings(state)
-        if self._contact is not None or self._meetings is not None:
+        self._impulses = self._make_impulses(state)
+        if self._contact is not None or self._meetings is not None or self._impulses is not None:
             self._result = self._allocate_result()
         self._iterations: list[np.ndarray] = []
         self._unconverged = 0
@@ -191,6 +193,17 @@ class StrandsStage:
 
         return StrandContact(self._model, state, self.layout, self.rods, self.real)
 
+    def _make_impulses(self, state: State) -> PaperStrandContact | None:
+        """The variant of that: impulses after the solve."""
+        if self._model.settings.strand_contact.method != "paper":
+            return None
+        from plait.solver.strand_contact.paper import PaperStrandContact
+
+        ghosts = self.layout.first_node[:-1]
+        prescribed = np.zeros(self.layout.node_count, dtype=bool)
+        prescribed[ghosts] = prescribed[ghosts + 1] = True
+        return PaperStrandContact(self._model, state, self.layout, prescribed)
+
     def _allocate_result(self) -> Any:
         """Room for a substep's result while it is tried."""
         result = self._types.RodState()
@@ -221,7 +234,7 @@ class StrandsStage:
         self._method.warm = 0
         stands, meetings = True, self._meetings
         touching = self._contact is not None and self._contact.active
-        if not touching and meetings is None:
+        if not touching and meetings is None and self._impulses is None:
             self._solve(self._method, self._held, self._all, constrained=False)
         else:
             if touching:
@@ -230,6 +243,8 @@ class StrandsStage:
                 self._solve(self._method, self._result, self._all, constrained=False)
             if stands and meetings is not None and meetings.find(self._held.position, self._result.position):
                 stands = self._meet(touching, last_resort)
+            if stands and self._impulses is not None:
+                self._apply_impulses(substep, touching)
             if stands:
                 self._commit(substep, touching)
         self._count(stands)
@@ -248,6 +263,16 @@ class StrandsStage:
             if not contact.examine(held.position, result.position, self._flags):
                 break
         return stands
+
+    def _apply_impulses(self, substep: Interval, touching: bool) -> None:
+        """Impulses between strands, in the result; what they drive into surfaces is led out again."""
+        held, result = self._held, self._result
+        self._impulses.apply(held.position, result.position, result.velocity, substep.length)
+        if touching:
+            self._flags.fill_(1)
+            self._contact.examine(held.position, result.position, self._flags)
+            self._contact.guard(held.position, result.position, self._flags)
+        self._realign(self._all)
 
     def _commit(self, substep: Interval, touching: bool) -> None:
         """The result is what there is from now on."""
@@ -295,10 +320,15 @@ class StrandsStage:
         self._method.max_pieces = MAX_PIECES
         contact.guard(held.position, result.position, flags)
         if broken:
-            inputs = [flags, self.rods.first_node, result.position]
-            self._launcher.launch(
-                self._kernels.realign, self.layout.strand_count, inputs, [result.director, result.twist]
-            )
+            self._realign(flags)
+
+    def _realign(self, flags: wp.array) -> None:
+        """Directors across their edges again, in the result, for the strands flagged."""
+        result = self._result
+        inputs = [flags, self.rods.first_node, result.position]
+        self._launcher.launch(
+            self._kernels.realign, self.layout.strand_count, inputs, [result.director, result.twist]
+        )
 
     def _judge_contact(self, tried: np.ndarray, free_strain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(strand_count,) what contact stretched each strand by; whether it kept it from converging."""
@@ -370,6 +400,8 @@ class StrandsStage:
         iterations = np.concatenate(self._iterations) if self._iterations else np.zeros(1)
         total = dict(zip(MEASURES, values.sum(axis=0), strict=True))
         contacts = self._contact.end_frame(self._held.position) if self._contact is not None else {}
+        if self._impulses is not None:
+            contacts |= self._impulses.end_frame()
         return contacts | {
             "iterations_mean": float(iterations.mean()),
             "iterations_max": int(iterations.max()),

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +20,7 @@ from plait.solver.strand_contact.paper import PaperStrandContact
 from plait.solver.strands.layout import Layout, build_layout
 
 from ..strands.rod_scenes import line, rod_scene
+from . import referee, scenes
 
 STEP = 1.0 / 192.0
 RADIUS, THICKNESS = 0.3e-3, 0.4e-3
@@ -272,3 +276,36 @@ def test_retract_undoes_a_substep():
 def test_threads_do_not_change_a_bit():
     for one, other in zip(run(falling_together(), 3), run(falling_together(threads=2), 3), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def missed(method: str) -> tuple[int, dict[str, object]]:
+    """Of two strands that swing at each other at .3 m/s, a quarter of their distance to keep a substep."""
+    case = scenes.crossing(pairs=1, speed=(0.3, 0.3))
+    settings = Settings(threads=1, substeps=32, strand_contact=StrandContactSettings(method=method))
+    simulation = case.start(settings)
+    judge = referee.Referee(simulation)
+    metrics = [simulation.advance_frame((frame + 1) / scenes.FRAMES_PER_SECOND)["strands"] for frame in range(3)]
+    assert max(frame["strain_max"] for frame in metrics) < 0.02
+    return judge.missed, metrics[-1]
+
+
+def test_strands_are_stopped_by_the_variant():
+    """As a setting of a whole simulation; the same without contact pass through each other."""
+    assert missed("none")[0] > 0
+    stopped, metrics = missed("paper")
+    assert stopped == 0
+    assert metrics.keys() >= {"overturned", "close_pairs", "still_approaching"}
+
+
+def test_what_is_not_selected_is_not_loaded():
+    code = """
+import sys
+from tests.solver.strand_contact.scenes import crossing
+from plait.solver.settings import Settings, StrandContactSettings
+simulation = crossing(pairs=1).start(Settings(threads=1, strand_contact=StrandContactSettings(method="none")))
+assert not any(name.startswith("strand_paper") for name in simulation.state.arrays)
+assert not [name for name in sys.modules if "strand_contact.paper" in name or "sparse_grid" in name]
+"""
+    root = Path(__file__).parents[3]
+    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
