@@ -54,6 +54,7 @@ MEETING_ARRAYS = {
     "target": wp.float64,
     "gap": wp.float64,
     "crossing": wp.int32,
+    "turned": wp.int32,
     "stiffness": wp.float64,
     "pressure": wp.float64,
     "traction": wp.vec3d,
@@ -206,7 +207,9 @@ class StrandContact:
         through = np.flatnonzero(self._meetings.crossing.numpy()[: self.pairs.count])
         edges = self._meetings.edges.numpy()[through]
         segment = self._layout.mean_segment[self._layout.node_strand[edges]].min(axis=1)
-        return bool((-self._meetings.gap.numpy()[through] > FURTHEST * segment).any())
+        deep = (-self._meetings.gap.numpy()[through] > FURTHEST * segment).any()
+        self._meetings.turned.zero_()
+        return bool(deep)
 
     # -- a Newton pass -------------------------------------------------------------------------------------
 

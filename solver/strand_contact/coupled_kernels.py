@@ -78,12 +78,23 @@ def coupled_kernels(real: type) -> SimpleNamespace:
             rods, scratch, strand, base, 1, step, real(0.0), types.mat33(turn), vec3(before), vec3(-before), step
         )
         inertia_out[strand] = inertia
+        length = rods.segment[strand]
+        # The root's Voronoi length is half a segment.
+        bending = wp.float64(real(0.5) * length * rods.bend[base + 1])
         measure_edges(scratch, count, base, 1)
         release(scratch, count, base, 1)
         for k in range(count):
             node = base + k
             position_out[node] = root + wp.vec3d(scratch.position[node])
-            stiffness_out[node] = wp.float64(rods.mass[node] * inertia)
+            # A beam, and a string, on an elastic foundation, its inertia, under a point load (Hetenyi 1946).
+            inertial = wp.float64(rods.mass[node] * inertia)
+            foundation = inertial / wp.float64(length)
+            pull = wp.max(wp.float64(scratch.tension[node]), wp.float64(0.0))
+            stiffness_out[node] = (
+                inertial
+                + wp.float64(2.8284271247461903) * wp.sqrt(wp.sqrt(bending * foundation * foundation * foundation))
+                + wp.float64(2.0) * wp.sqrt(pull * foundation)
+            )
 
     @kernel
     def gather(

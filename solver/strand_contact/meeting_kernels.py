@@ -40,7 +40,8 @@ class Meetings:
     target: wp.array(dtype=wp.float64)  # [m] distance to keep
     gap: wp.array(dtype=wp.float64)  # [m] distance beyond that
     crossing: wp.array(dtype=wp.int32)  # 1: the edges have gone through each other
-    stiffness: wp.array(dtype=wp.float64)  # [N/m] k
+    turned: wp.array(dtype=wp.int32)  # 1: they had when their geometry was taken
+    stiffness: wp.array(dtype=wp.float64)  # [N/m] k; 0 where the pair takes no part
     pressure: wp.array(dtype=wp.float64)  # [N] held
     traction: wp.array(dtype=wp.vec3d)  # [N] held
     acts: wp.array(dtype=wp.int32)  # 1: a force or stiffness there is
@@ -78,6 +79,7 @@ def recall(first: int, held: Held, meetings: Meetings):
             traction = held.traction[slot]
     meetings.pressure[item] = pressure
     meetings.traction[item] = traction
+    meetings.turned[item] = 0
 
 
 @wp.kernel
@@ -129,7 +131,8 @@ def locate(
     b0 = start[b]
     b1 = start[b + 1]
     drawn = closest_on_edges(a0, a1, b0, b1)
-    before = wp.length(along(start, a, drawn[0]) - along(start, b, drawn[1]))
+    apart = along(start, a, drawn[0]) - along(start, b, drawn[1])
+    before = wp.length(apart)
     c0 = x[a]
     c1 = x[a + 1]
     d0 = x[b]
@@ -143,6 +146,11 @@ def locate(
             c1 = a1 + time * (c1 - a1)
             d0 = b0 + time * (d0 - b0)
             d1 = b1 + time * (d1 - b1)
+    meetings.crossing[item] = crossing
+    if crossing == 0 and meetings.turned[item] != 0 and meetings.acts[item] != 0:
+        # Turned back in this substep: as long as that takes a force, by the same plane, or it would go to and fro.
+        return
+    meetings.turned[item] = crossing
     place = closest_on_edges(c0, c1, d0, d1)
     s = place[0]
     t = place[1]
@@ -157,12 +165,17 @@ def locate(
         target = before + REGAINED * (full - before)
     of_a = (ONE - s) * stiffness[a] + s * stiffness[a + 1]
     of_b = (ONE - t) * stiffness[b] + t * stiffness[b + 1]
+    held = STIFFER * of_a * of_b / (of_a + of_b)
+    gap = wp.dot(normal, along(x, a, s) - along(x, b, t)) - target
+    if wp.dot(normal, apart) <= ZERO:
+        # On another side without having gone through: past an end, or a neighbour has. It is left to that.
+        held = ZERO
+        gap = wp.max(gap, ZERO)
     meetings.place[item] = wp.vec2d(s, t)
     meetings.normal[item] = normal
     meetings.target[item] = target
-    meetings.crossing[item] = crossing
-    meetings.stiffness[item] = STIFFER * of_a * of_b / (of_a + of_b)
-    meetings.gap[item] = wp.dot(normal, along(x, a, s) - along(x, b, t)) - target
+    meetings.stiffness[item] = held
+    meetings.gap[item] = gap
 
 
 @wp.kernel
@@ -187,9 +200,10 @@ def press(
     k = meetings.stiffness[item]
     offset = along(x, a, s) - along(x, b, t)
     gap = wp.dot(n, offset) - meetings.target[item]
-    meetings.gap[item] = gap
     held = meetings.pressure[item]
-    pressure = wp.max(held - k * gap, ZERO)
+    pressure = ZERO
+    if k > ZERO:
+        pressure = wp.max(held - k * gap, ZERO)
     acts = wp.int32(0)
     force = wp.vec3d()
     block = wp.mat33d()
