@@ -26,6 +26,7 @@ FULL = wp.constant(wp.uint64(32767))
 LANE = wp.constant(wp.uint64(16))
 FULLS = wp.constant(wp.uint64(0x7FFF7FFF7FFF7FFF))
 GUARDS = wp.constant(wp.uint64(0x8000800080008000))
+NO_BITS = wp.constant(wp.uint64(0))
 # Entries of an item that takes the running maximum; edges of one that searches.
 RUN = wp.constant(1024)
 CHUNK = wp.constant(256)
@@ -103,10 +104,7 @@ class Entries:
     """Entries sorted by key."""
 
     key: wp.array(dtype=wp.int32)  # (entry_count,)
-    end: wp.array(dtype=wp.int32)
-    column: wp.array(dtype=wp.int32)
-    tag: wp.array(dtype=wp.int32)
-    extent: wp.array(dtype=wp.uint64)
+    entry: wp.array(dtype=Entry)
     furthest: wp.array(dtype=wp.int32)  # the largest `end` up to here
     place: wp.array(dtype=wp.int32)  # (entry_count,) where each entry, as numbered, has come to be
     first: wp.array(dtype=wp.int32)  # (node_count + 1,) of an edge's own, as numbered
@@ -257,21 +255,17 @@ def gather_entries(
     first: int, number: wp.array(dtype=wp.int32), entry: wp.array(dtype=Entry), entries_out: Entries
 ):
     slot = first + wp.tid()
-    numbered = entry[number[slot]]
-    entries_out.end[slot] = numbered.end
-    entries_out.column[slot] = numbered.column
-    entries_out.tag[slot] = numbered.tag
-    entries_out.extent[slot] = numbered.extent
+    entries_out.entry[slot] = entry[number[slot]]
     entries_out.place[number[slot]] = slot
 
 
 @wp.kernel(enable_backward=False)
-def end_runs(first: int, count: int, end: wp.array(dtype=wp.int32), last_out: wp.array(dtype=wp.int32)):
+def end_runs(first: int, count: int, entry: wp.array(dtype=Entry), last_out: wp.array(dtype=wp.int32)):
     """The largest key at which a box of a run of entries ends."""
     run = first + wp.tid()
     last = wp.int32(0)
     for slot in range(run * RUN, wp.min((run + 1) * RUN, count)):
-        last = wp.max(last, end[slot])
+        last = wp.max(last, entry[slot].end)
     last_out[run] = last
 
 
@@ -279,7 +273,7 @@ def end_runs(first: int, count: int, end: wp.array(dtype=wp.int32), last_out: wp
 def find_furthest(
     first: int,
     count: int,
-    end: wp.array(dtype=wp.int32),
+    entry: wp.array(dtype=Entry),
     last: wp.array(dtype=wp.int32),
     furthest_out: wp.array(dtype=wp.int32),
 ):
@@ -289,7 +283,7 @@ def find_furthest(
     for before in range(run):
         furthest = wp.max(furthest, last[before])
     for slot in range(run * RUN, wp.min((run + 1) * RUN, count)):
-        furthest = wp.max(furthest, end[slot])
+        furthest = wp.max(furthest, entry[slot].end)
         furthest_out[slot] = furthest
 
 
@@ -318,86 +312,108 @@ class Partners:
     first: wp.array(dtype=wp.int32)  # (node_count,) of each edge's list
     count: wp.array(dtype=wp.int32)  # (node_count + 1,)
     behind: wp.array(dtype=wp.int32)  # (node_count + 1,) how many are greater than the edge itself
-    needed: wp.array(dtype=wp.int32)  # (chunk_count,) room for a chunk's lists
+    needed: wp.array(dtype=wp.int32)  # (chunk_count,) room for a chunk's lists, if there was not enough
 
 
 @wp.func
 def may_meet_itself(search: Search, p: int, q: int) -> bool:
-    """Whether two edges of one strand are a pair."""
+    """Whether two edges of one strand without a common node are a pair."""
     edges = search.edges
     a = wp.min(p, q)
     b = wp.max(p, q)
-    if b - a < 2 or edges.along[b] - edges.along[a + 1] < edges.reach[a] + edges.reach[b]:
+    if edges.along[b] - edges.along[a + 1] < edges.reach[a] + edges.reach[b]:
         return False
     return not (straight_between(edges, search.start, a, b) and straight_between(edges, search.end, a, b))
 
 
 @wp.func
-def insert(list: wp.array(dtype=wp.int32), first: int, count: int, limit: int, value: int):
-    """`value` into the ascending run of `count` entries from `first`; lost if there is no room below `limit`."""
-    slot = first + count
-    if slot >= limit:
-        return
-    while slot > first and list[slot - 1] > value:
-        list[slot] = list[slot - 1]
-        slot -= 1
-    list[slot] = value
+def gather_candidates(search: Search, a: int, first: int, last: int, list_out: wp.array(dtype=wp.int32)) -> int:
+    """How many edges have boxes that overlap that of edge a, itself included; lists them from `first`.
+
+    The list's places end before `last`, which takes what does not fit. Without branches in the loop: they would be
+    foretold wrongly about as often as not, which costs more than all the rest.
+    """
+    count = wp.int32(0)
+    for number in range(search.entries.first[a], search.entries.first[a + 1]):
+        place = search.entries.place[number]
+        own = search.entries.entry[place]
+        key = search.entries.key[place]
+        # How far a's box begins, and ends from the other end: what another's must reach, lane by lane.
+        extent = FULLS - own.extent
+        extent = (extent >> (LANE + LANE)) | (extent << (LANE + LANE))
+        slot = place
+        while slot > 0 and search.entries.furthest[slot - 1] >= key:
+            slot -= 1
+        while slot < search.entries.count and search.entries.key[slot] <= own.end:
+            other = search.entries.entry[slot]
+            # No lane borrows from its guard bit where it is at least a's.
+            apart = (((other.extent | GUARDS) - extent) & GUARDS) ^ GUARDS
+            # Other columns; columns in which, along a side, neither box begins: the pair counts in another one;
+            # boxes that end before a's begins.
+            elsewhere = (other.column ^ own.column) | (((other.tag | own.tag) & 3) ^ 3) | ((other.end - key) >> 31)
+            list_out[wp.min(first + count, last)] = other.tag >> 2
+            count += wp.where((apart | wp.uint64(elsewhere)) == NO_BITS, 1, 0)
+            slot += 1
+    return count
 
 
 @wp.func
-def find_partners(search: Search, a: int, first: int, limit: int, list_out: wp.array(dtype=wp.int32)) -> wp.vec2i:
-    """(partners of edge a, those of them behind it); their ascending list from `first`, if below `limit`."""
-    count = wp.int32(0)
-    behind = wp.int32(0)
+def sort(list: wp.array(dtype=wp.int32), begin: int, end: int):
+    """A short run of a list into ascending order."""
+    for k in range(begin + 1, end):
+        value = list[k]
+        slot = int(k)
+        while slot > begin and list[slot - 1] > value:
+            list[slot] = list[slot - 1]
+            slot -= 1
+        list[slot] = value
+
+
+@wp.func
+def keep_partners(search: Search, a: int, first: int, count: int, list_out: wp.array(dtype=wp.int32)) -> wp.vec2i:
+    """(partners of edge a, those of them behind it) among `count` candidates; sorts them to the front."""
     strand = search.edges.strand[a]
     begin = search.edges.first_node[strand]
     end = search.edges.first_node[strand + 1]
     prescribed = search.edges.prescribed[a] == 1
-    for number in range(search.entries.first[a], search.entries.first[a + 1]):
-        own = search.entries.place[number]
-        own_tag = search.entries.tag[own]
-        column = search.entries.column[own]
-        key = search.entries.key[own]
-        until = search.entries.end[own]
-        # How far a's box begins, and ends from the other end: what another's must reach, lane by lane.
-        extent = FULLS - search.entries.extent[own]
-        extent = (extent >> (LANE + LANE)) | (extent << (LANE + LANE))
-        slot = own
-        while slot > 0 and search.entries.furthest[slot - 1] >= key:
-            slot -= 1
-        while slot < search.entries.count and search.entries.key[slot] <= until:
-            # No lane borrows from its guard bit where it is at least a's.
-            if (((search.entries.extent[slot] | GUARDS) - extent) & GUARDS) == GUARDS:
-                tag = search.entries.tag[slot]
-                b = tag >> 2
-                # A pair counts in the column in which, along both sides, one of its boxes begins.
-                meets = ((tag | own_tag) & 3) == 3 and search.entries.column[slot] == column
-                if meets and search.entries.end[slot] >= key:
-                    if b >= begin and b < end:
-                        meets = may_meet_itself(search, a, b)
-                    elif prescribed:
-                        meets = search.edges.prescribed[b] == 0
-                    if meets:
-                        insert(list_out, first, count, limit, b)
-                        count += 1
-                        behind += wp.where(b > a, 1, 0)
-            slot += 1
-    return wp.vec2i(count, behind)
+    kept = int(first)
+    behind = int(first)
+    for slot in range(first, first + count):
+        b = list_out[slot]
+        meets = b < begin or b >= end
+        if not meets:
+            meets = wp.abs(b - a) > 1 and may_meet_itself(search, a, b)
+        elif prescribed:
+            meets = search.edges.prescribed[b] == 0
+        if meets:
+            # Those before a to the front, those behind it after them: two runs are sorted faster than one.
+            list_out[kept] = list_out[behind]
+            list_out[wp.where(b < a, behind, kept)] = b
+            behind += wp.where(b < a, 1, 0)
+            kept += 1
+    sort(list_out, first, behind)
+    sort(list_out, behind, kept)
+    return wp.vec2i(kept - first, kept - behind)
 
 
 @wp.kernel(enable_backward=False)
 def list_partners(first: int, search: Search, partners_out: Partners):
     chunk = first + wp.tid()
     begin = partners_out.room[chunk]
-    limit = partners_out.room[chunk + 1]
+    last = partners_out.room[chunk + 1] - 1
     slot = begin
+    missing = wp.int32(0)
     for edge in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, search.node_count)):
-        found = find_partners(search, edge, slot, limit, partners_out.edge)
+        count = gather_candidates(search, edge, slot, last, partners_out.edge)
         partners_out.first[edge] = slot
-        partners_out.count[edge] = found[0]
-        partners_out.behind[edge] = found[1]
-        slot += found[0]
-    partners_out.needed[chunk] = slot - begin
+        if slot + count > last:
+            missing += count
+        else:
+            found = keep_partners(search, edge, slot, count, partners_out.edge)
+            partners_out.count[edge] = found[0]
+            partners_out.behind[edge] = found[1]
+            slot += found[0]
+    partners_out.needed[chunk] = wp.where(missing > 0, slot - begin + missing + 1, 0)
 
 
 @wp.kernel(enable_backward=False)

@@ -43,6 +43,8 @@ MAX_SPAN, MAX_COLUMNS = 32.0, 32000.0
 KEY_BITS, LARGEST_TABLE_BITS, LARGEST_SWEEP_BITS = 31, 17, 20
 # Partners an edge for which room is kept at first.
 FIRST_ROOM = 16
+# Where more than this part of the strands had pairs, all are looked at.
+THICK = 0.5
 # Comparisons of strands' boxes a strand, beyond which what has met none is taken as near.
 ROUNDS = 64
 # Costs in units of `Launcher.launch`.
@@ -109,7 +111,8 @@ class EdgePairs:
         self._launcher.launch(
             bound_strands, self._strand_count, inputs, [self._boxes, self._strand_boxes], work_per_item=work
         )
-        near = self._strands_in_reach()
+        # In a thick of strands, the search itself is cheaper than asking which take part.
+        near = self._strands_in_reach() if self.near.mean() < THICK else np.ones(self._strand_count, dtype=bool)
         if not near.any():
             self._clear()
             return False
@@ -179,9 +182,9 @@ class EdgePairs:
         entries.first = self._first_entry
         entries.count = count = _scan(counts, self._first_entry)
         entries.key = self._buffer("key", wp.int32, 2 * count)  # sorting takes twice the room
-        for name in ("end", "column", "tag", "furthest", "place"):
-            setattr(entries, name, self._buffer(name, wp.int32, count))
-        entries.extent = self._buffer("extent", wp.uint64, count)
+        entries.entry = self._buffer("sorted", Entry, count)
+        entries.furthest = self._buffer("furthest", wp.int32, count)
+        entries.place = self._buffer("place", wp.int32, count)
         number, entry = self._buffer("number", wp.int32, 2 * count), self._buffer("entry", Entry, count)
         inputs = [columns, self._boxes, self._first_entry]
         launch(write_entries, nodes, inputs, [entries.key, number, entry], work_per_item=ENTER_WORK)
@@ -189,8 +192,8 @@ class EdgePairs:
         launch(gather_entries, count, [number, entry], [entries], work_per_item=ENTER_WORK)
         runs = -(-count // RUN)
         last = self._buffer("last", wp.int32, runs)
-        launch(end_runs, runs, [count, entries.end], [last], work_per_item=RUN_WORK)
-        launch(find_furthest, runs, [count, entries.end, last], [entries.furthest], work_per_item=RUN_WORK)
+        launch(end_runs, runs, [count, entries.entry], [last], work_per_item=RUN_WORK)
+        launch(find_furthest, runs, [count, entries.entry, last], [entries.furthest], work_per_item=RUN_WORK)
         return entries
 
     def _list_partners(self, search: Search) -> None:
