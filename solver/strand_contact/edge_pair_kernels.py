@@ -305,13 +305,12 @@ class Search:
 
 @wp.struct
 class Partners:
-    """Lists of edges, a chunk's after another in its own room, as far as there is room."""
+    """Each edge's partners behind it, ascending; a chunk of edges has its own room for their lists."""
 
     room: wp.array(dtype=wp.int32)  # (chunk_count + 1,) where each chunk's begins
     edge: wp.array(dtype=wp.int32)
     first: wp.array(dtype=wp.int32)  # (node_count,) of each edge's list
     count: wp.array(dtype=wp.int32)  # (node_count + 1,)
-    behind: wp.array(dtype=wp.int32)  # (node_count + 1,) how many are greater than the edge itself
     needed: wp.array(dtype=wp.int32)  # (chunk_count,) room for a chunk's lists, if there was not enough
 
 
@@ -328,7 +327,7 @@ def may_meet_itself(search: Search, p: int, q: int) -> bool:
 
 @wp.func
 def gather_candidates(search: Search, a: int, first: int, last: int, list_out: wp.array(dtype=wp.int32)) -> int:
-    """How many edges have boxes that overlap that of edge a, itself included; lists them from `first`.
+    """How many edges behind edge a have boxes that overlap its own; lists them from `first`.
 
     The list's places end before `last`, which takes what does not fit. Without branches in the loop: they would be
     foretold wrongly about as often as not, which costs more than all the rest.
@@ -349,8 +348,9 @@ def gather_candidates(search: Search, a: int, first: int, last: int, list_out: w
             # No lane borrows from its guard bit where it is at least a's.
             apart = (((other.extent | GUARDS) - extent) & GUARDS) ^ GUARDS
             # Other columns; columns in which, along a side, neither box begins: the pair counts in another one;
-            # boxes that end before a's begins.
-            elsewhere = (other.column ^ own.column) | (((other.tag | own.tag) & 3) ^ 3) | ((other.end - key) >> 31)
+            # boxes that end before a's begins; edges not behind a.
+            elsewhere = (other.column ^ own.column) | (((other.tag | own.tag) & 3) ^ 3)
+            elsewhere |= ((other.end - key) | (other.tag - (own.tag | 3) - 1)) >> 31
             list_out[wp.min(first + count, last)] = other.tag >> 2
             count += wp.where((apart | wp.uint64(elsewhere)) == NO_BITS, 1, 0)
             slot += 1
@@ -358,42 +358,26 @@ def gather_candidates(search: Search, a: int, first: int, last: int, list_out: w
 
 
 @wp.func
-def sort(list: wp.array(dtype=wp.int32), begin: int, end: int):
-    """A short run of a list into ascending order."""
-    for k in range(begin + 1, end):
-        value = list[k]
-        slot = int(k)
-        while slot > begin and list[slot - 1] > value:
-            list[slot] = list[slot - 1]
-            slot -= 1
-        list[slot] = value
-
-
-@wp.func
-def keep_partners(search: Search, a: int, first: int, count: int, list_out: wp.array(dtype=wp.int32)) -> wp.vec2i:
-    """(partners of edge a, those of them behind it) among `count` candidates; sorts them to the front."""
-    strand = search.edges.strand[a]
-    begin = search.edges.first_node[strand]
-    end = search.edges.first_node[strand + 1]
+def keep_partners(search: Search, a: int, first: int, count: int, list_out: wp.array(dtype=wp.int32)) -> int:
+    """How many of `count` candidates behind edge a are its partners; sorts them to the front."""
+    end = search.edges.first_node[search.edges.strand[a] + 1]
     prescribed = search.edges.prescribed[a] == 1
     kept = int(first)
-    behind = int(first)
-    for slot in range(first, first + count):
-        b = list_out[slot]
-        meets = b < begin or b >= end
+    for candidate in range(first, first + count):
+        b = list_out[candidate]
+        meets = b >= end
         if not meets:
-            meets = wp.abs(b - a) > 1 and may_meet_itself(search, a, b)
+            meets = b > a + 1 and may_meet_itself(search, a, b)
         elif prescribed:
             meets = search.edges.prescribed[b] == 0
         if meets:
-            # Those before a to the front, those behind it after them: two runs are sorted faster than one.
-            list_out[kept] = list_out[behind]
-            list_out[wp.where(b < a, behind, kept)] = b
-            behind += wp.where(b < a, 1, 0)
+            slot = int(kept)
+            while slot > first and list_out[slot - 1] > b:
+                list_out[slot] = list_out[slot - 1]
+                slot -= 1
+            list_out[slot] = b
             kept += 1
-    sort(list_out, first, behind)
-    sort(list_out, behind, kept)
-    return wp.vec2i(kept - first, kept - behind)
+    return kept - first
 
 
 @wp.kernel(enable_backward=False)
@@ -409,37 +393,63 @@ def list_partners(first: int, search: Search, partners_out: Partners):
         if slot + count > last:
             missing += count
         else:
-            found = keep_partners(search, edge, slot, count, partners_out.edge)
-            partners_out.count[edge] = found[0]
-            partners_out.behind[edge] = found[1]
-            slot += found[0]
+            kept = keep_partners(search, edge, slot, count, partners_out.edge)
+            partners_out.count[edge] = kept
+            slot += kept
     partners_out.needed[chunk] = wp.where(missing > 0, slot - begin + missing + 1, 0)
 
 
 @wp.kernel(enable_backward=False)
-def number_pairs(
+def write_pairs(
     first: int,
     partners: Partners,
-    first_incident: wp.array(dtype=wp.int32),
     first_pair: wp.array(dtype=wp.int32),
     pairs_out: wp.array(dtype=wp.vec2i),
+    second_out: wp.array(dtype=wp.int32),
+    number_out: wp.array(dtype=wp.int32),
+):
+    """Pairs in the order of their edges; their second edges and numbers, to be sorted."""
+    edge = first + wp.tid()
+    begin = first_pair[edge]
+    for k in range(partners.count[edge]):
+        other = partners.edge[partners.first[edge] + k]
+        pairs_out[begin + k] = wp.vec2i(edge, other)
+        second_out[begin + k] = other
+        number_out[begin + k] = begin + k
+
+
+@wp.kernel(enable_backward=False)
+def find_seconds(
+    first: int, count: int, second: wp.array(dtype=wp.int32), first_second_out: wp.array(dtype=wp.int32)
+):
+    """How many of the sorted second edges lie before each edge. Item k for edges from one second to the next."""
+    item = first + wp.tid()
+    begin = wp.int32(0)
+    end = first_second_out.shape[0]
+    if item > 0:
+        begin = second[item - 1] + 1
+    if item < count:
+        end = second[item] + 1
+    for edge in range(begin, end):
+        first_second_out[edge] = item
+
+
+@wp.kernel(enable_backward=False)
+def write_incident(
+    first: int,
+    first_pair: wp.array(dtype=wp.int32),
+    first_second: wp.array(dtype=wp.int32),
+    number: wp.array(dtype=wp.int32),
+    first_out: wp.array(dtype=wp.int32),
     incident_out: wp.array(dtype=wp.int32),
 ):
-    """Pairs in the order of their first edges; each edge's own, in the order of its partners."""
+    """Each edge's pairs: those it is second in, then those it is first in."""
     edge = first + wp.tid()
-    pair = first_pair[edge]
-    begin = partners.first[edge]
-    incident = first_incident[edge]
-    for k in range(partners.count[edge]):
-        other = partners.edge[begin + k]
-        if other > edge:
-            pairs_out[pair] = wp.vec2i(edge, other)
-            incident_out[incident + k] = 2 * pair
-            pair += 1
-        else:
-            # The other's pairs are those with its last partners: counted from the end.
-            last = partners.first[other] + partners.count[other] - 1
-            rank = wp.int32(0)
-            while partners.edge[last - rank] != edge:
-                rank += 1
-            incident_out[incident + k] = 2 * (first_pair[other + 1] - 1 - rank) + 1
+    slot = first_pair[edge] + first_second[edge]
+    first_out[edge + 1] = first_pair[edge + 1] + first_second[edge + 1]
+    for k in range(first_second[edge], first_second[edge + 1]):
+        incident_out[slot] = 2 * number[k] + 1
+        slot += 1
+    for pair in range(first_pair[edge], first_pair[edge + 1]):
+        incident_out[slot] = 2 * pair
+        slot += 1

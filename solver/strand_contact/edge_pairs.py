@@ -24,10 +24,12 @@ from plait.solver.strand_contact.edge_pair_kernels import (
     count_entries,
     end_runs,
     find_furthest,
+    find_seconds,
     gather_entries,
     list_partners,
-    number_pairs,
     write_entries,
+    write_incident,
+    write_pairs,
 )
 from plait.solver.strands.layout import Layout
 
@@ -42,13 +44,13 @@ MAX_SPAN, MAX_COLUMNS = 32.0, 32000.0
 # Bits of a key, which must stay positive: at most so many for the table of columns, and for the way along them.
 KEY_BITS, LARGEST_TABLE_BITS, LARGEST_SWEEP_BITS = 31, 17, 20
 # Partners an edge for which room is kept at first.
-FIRST_ROOM = 16
+FIRST_ROOM = 8
 # Where more than this part of the strands had pairs, all are looked at.
 THICK = 0.5
 # Comparisons of strands' boxes a strand, beyond which what has met none is taken as near.
 ROUNDS = 64
 # Costs in units of `Launcher.launch`.
-BOUND_WORK, ENTER_WORK, RUN_WORK, SEARCH_WORK, NUMBER_WORK = 3, 3, 200, 15, 5
+BOUND_WORK, ENTER_WORK, RUN_WORK, SEARCH_WORK, NUMBER_WORK = 3, 3, 200, 15, 2
 
 
 class EdgePairs:
@@ -92,12 +94,12 @@ class EdgePairs:
         self._partners.first = self._full(self._node_count, wp.int32)
         # One more than is written, 0, so that running sums end with the whole.
         self._partners.count = self._full(self._node_count + 1, wp.int32)
-        self._partners.behind = self._full(self._node_count + 1, wp.int32)
         self._partners.needed = self._full(chunks, wp.int32)
         self._room = np.full(chunks, CHUNK * FIRST_ROOM, dtype=np.int64)
         self.first = self._full(self._node_count + 1, wp.int32)
         self._first_entry = self._full(self._node_count + 1, wp.int32)
         self._first_pair = self._full(self._node_count + 1, wp.int32)
+        self._first_second = self._full(self._node_count + 1, wp.int32)
         self._clear()
 
     def find(self, start: wp.array, end: wp.array, margin: float) -> bool:
@@ -211,18 +213,23 @@ class EdgePairs:
             self._room[short] = needed[short] + needed[short] // 2
 
     def _collect(self, search: Search) -> bool:
-        """Partners listed, then numbered as pairs."""
+        """Partners listed, then numbered as pairs, then given to both their edges."""
         self._list_partners(search)
-        partners, nodes = self._partners, self._node_count
-        total = _scan(partners.count, self.first)
-        self.count = _scan(partners.behind, self._first_pair)
-        if self.count == 0:
+        launch, partners, nodes = self._launcher.launch, self._partners, self._node_count
+        self.count = count = _scan(partners.count, self._first_pair)
+        if count == 0:
             self._clear()
             return False
-        self.pairs = self._buffer("pairs", wp.vec2i, self.count)[: self.count]
-        self.incident = self._buffer("incident", wp.int32, total)[:total]
-        inputs, outputs = [partners, self.first, self._first_pair], [self.pairs, self.incident]
-        self._launcher.launch(number_pairs, nodes, inputs, outputs, work_per_item=NUMBER_WORK)
+        self.pairs = self._buffer("pairs", wp.vec2i, count)[:count]
+        self.incident = self._buffer("incident", wp.int32, 2 * count)[: 2 * count]
+        # Sorting takes twice the room.
+        second, number = (self._buffer(name, wp.int32, 2 * count) for name in ("second", "number"))
+        outputs = [self.pairs, second, number]
+        launch(write_pairs, nodes, [partners, self._first_pair], outputs, work_per_item=NUMBER_WORK)
+        wp.utils.radix_sort_pairs(second, number, count)
+        launch(find_seconds, count + 1, [count, second], [self._first_second])
+        inputs, outputs = [self._first_pair, self._first_second, number], [self.first, self.incident]
+        launch(write_incident, nodes, inputs, outputs, work_per_item=NUMBER_WORK)
         first = self.first.numpy()[self._first_node]
         self.near = first[1:] > first[:-1]
         return True
