@@ -158,25 +158,23 @@ def linking_number(a: np.ndarray, b: np.ndarray) -> float:
     return float((angle * sign).sum() / (4.0 * np.pi))
 
 
-def closed_up(strands: np.ndarray, far: float) -> np.ndarray:
-    """(strand_count, point_count + 4, 3): strands that run down y from root to tip, closed `far` outside.
+def closed_up(strands: np.ndarray, away: np.ndarray, far: float) -> list[np.ndarray]:
+    """(point_count + 3, 3) each: strands that run down y from root to tip, (strand_count, point_count, 3), closed.
 
-    From each tip down, out in a direction of its own, up and back over its root: at heights of its own, so that
-    the closing sides of two strands never meet, whatever the strands do between.
+    From each tip `far` along its own `away`, (strand_count, 3), down and outwards, and up and back over its root,
+    at a height of its own: the closing sides of two strands never meet as long as tips stay apart across `away`.
     """
     closed = []
-    for i, strand in enumerate(strands):
-        turn = 2.0 * np.pi * i / len(strands)
-        out = far * np.array([np.cos(turn), 0.0, np.sin(turn)])
-        reach = far * (1.0 + 0.5 * i)
-        below, above = strand[-1] - [0.0, reach, 0.0], strand[0] + [0.0, reach, 0.0]
-        closed.append(np.vstack([strand, below, below + out, above + out, above]))
-    return np.array(closed)
+    for i, (strand, direction) in enumerate(zip(strands, away, strict=True)):
+        end, top = strand[-1] + far * direction, far * (1.0 + 0.5 * i) * np.array([0.0, 1.0, 0.0])
+        aside = end * (1.0, 0.0, 1.0) + top
+        closed.append(np.vstack([strand, end, aside, strand[0] + top]))
+    return closed
 
 
-def linking_matrix(strands: np.ndarray, far: float = 10.0) -> np.ndarray:
-    """(strand_count, strand_count) int linking numbers of closed-up strands: passing through changes them."""
-    closed = closed_up(strands, far)
+def linking_matrix(strands: np.ndarray, away: np.ndarray, far: float = 10.0) -> np.ndarray:
+    """(strand_count, strand_count) int linking numbers of strands `closed_up`: passing through changes them."""
+    closed = closed_up(strands, away, far)
     count = len(closed)
     found = np.zeros((count, count), dtype=int)
     for i in range(count):

@@ -214,7 +214,8 @@ def capstan(friction: float = 0.3, angle: float = np.pi, post: str = "strand") -
     """A strand wound about a fixed post by `angle` [rad], loaded with T1 at its tip and slowly pulled at its root.
 
     Sliding, the tensions' ratio is exp(friction * angle). post: 'strand', one that is 33 times as thick, or
-    'surface', a cylinder of 128 facets. The strand hardly bends (EI / R^2 is a thousandth of T1). No gravity.
+    'surface', a cylinder of 128 facets. The strand hardly resists bending (EI / R^2 is T1 / 2000) and stretches by
+    half a percent under T2. No gravity.
     """
     fibre = Fibre(radius=0.3e-3, density=1300.0, youngs_modulus=4e9, damping=50.0)
     # The cylinder's facets lie inside its circle; the strand touches their edges.
@@ -225,8 +226,9 @@ def capstan(friction: float = 0.3, angle: float = np.pi, post: str = "strand") -
     ground, strand = rods(
         "rope", [shape], fibre, motion=pull, rest_shape="authored", friction=friction, loads=loads, surface=0
     )
-    soft = np.array([2e-3 * CAPSTAN_LOAD * 1e-3 * POST_RADIUS])
-    strand = replace(strand, bend_stiffness=soft, twist_stiffness=soft)
+    soft = np.array([5e-4 * CAPSTAN_LOAD * POST_RADIUS**2])
+    stretch = np.array([200.0 * CAPSTAN_LOAD * np.exp(friction * angle)])
+    strand = replace(strand, stretch_stiffness=stretch, bend_stiffness=soft, twist_stiffness=soft)
     if post == "surface":
         cylinder = _cylinder(128, POST_RADIUS, 0.06, friction)
         scene = Scene(surfaces=(ground, cylinder), strands=(strand,), gravity=np.zeros(3))
@@ -281,6 +283,15 @@ def braided(periods: int, length: float, segments: int, width: float, depth: flo
     return shapes
 
 
+def braid_pull(strands: np.ndarray) -> np.ndarray:
+    """(3, 3): unit directions 30 degrees from down, 120 degrees from each other round it, as the tips stand."""
+    tips = strands[:, -1, [0, 2]]
+    angle = np.arctan2(*(tips - tips.mean(axis=0)).T[::-1])
+    turn = 2.0 * np.pi / 3.0 * np.argsort(np.argsort(angle))
+    turn += np.angle(np.exp(1j * (angle - turn)).sum())
+    return np.stack([0.5 * np.cos(turn), np.full(3, -np.sqrt(0.75)), 0.5 * np.sin(turn)], axis=1)
+
+
 def braid(tightness: float = 1.0, periods: int = 6, segments: int = 120) -> Case:
     """A braid of three, clamped at its top, each strand pulled down and outwards at its tip by a weight.
 
@@ -289,9 +300,7 @@ def braid(tightness: float = 1.0, periods: int = 6, segments: int = 120) -> Case
     distance, length = 2.0 * CORD.radius, 0.27
     # Where two cross, they are 2 sin(60 degrees) times the depth apart.
     shapes = braided(periods, length, segments, 2.0 * distance, 1.4 * distance / np.sqrt(3.0))
-    out = np.array([shape[-1] * (1.0, 0.0, 1.0) for shape in shapes])
-    out /= np.linalg.norm(out, axis=1, keepdims=True)
-    loads = tip_loads(shapes, 0.3 * tightness * (0.5 * out + [0.0, -np.sqrt(0.75), 0.0]))
+    loads = tip_loads(shapes, 0.3 * tightness * braid_pull(np.array(shapes)))
     surface, strands = rods("braid", shapes, CORD, rest_shape="authored", loads=loads)
     soft = np.full(3, CORD_BENDING)
     strands = replace(strands, bend_stiffness=soft, twist_stiffness=soft)

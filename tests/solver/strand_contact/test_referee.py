@@ -49,14 +49,13 @@ def test_strands_that_pass_through_are_counted_once_for_each_crossing():
 def test_linking_number_of_a_helix_about_a_line(turns):
     """A closed curve that winds n times about another links it n times."""
     along = np.linspace(0.0, 1.0, 60)
-    wound = np.stack(
-        [0.1 * np.cos(2 * np.pi * turns * along), -along, 0.1 * np.sin(2 * np.pi * turns * along)], axis=1
-    )
-    line = np.stack([0 * along, -along, 0 * along], axis=1)
-    matrix = referee.linking_matrix(np.array([wound, line]), far=5.0)
-    assert abs(
-        matrix[0, 1] - referee.linking_matrix(np.array([wound * [0, 1, 0] + [0.1, 0, 0], line]))[0, 1]
-    ) == abs(turns)
+    turn = 2.0 * np.pi * turns * along
+    helix = np.stack([0.1 * np.cos(turn), -along, 0.1 * np.sin(turn)], axis=1)
+    line = np.stack([0.0 * along, -along, 0.0 * along], axis=1)
+    away = np.array([[0.5, -0.8, 0.0], [-0.5, -0.8, 0.0]])
+    linked = referee.linking_matrix(np.array([helix, line]), away)[0, 1]
+    beside = referee.linking_matrix(np.array([line + np.array([0.1, 0.0, 0.0]), line]), away)[0, 1]
+    assert abs(linked - beside) == abs(turns)
 
 
 def test_braid_invariant_tells_braids_apart():
