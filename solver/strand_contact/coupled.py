@@ -18,6 +18,7 @@ from plait.solver.strand_contact.meeting_kernels import (
     HELD_AN_EDGE,
     Held,
     Meetings,
+    hold,
     locate,
     press,
     recall,
@@ -31,7 +32,7 @@ from plait.solver.strands.types import rod_types
 LINEAR_TOLERANCE = 0.01
 MAX_LINEAR_ITERATIONS = 40
 # A pass that moves no node further than this part of a segment leaves contact forces that are worth holding.
-CALM = 0.03
+CALM = 0.003
 # Contacts may be nearer by this part of their distance than they should.
 OVERLAP = 0.1
 # A pass that moves no node further than this part of a segment, with nothing out of place, is the last.
@@ -147,7 +148,7 @@ class StrandContact:
                 break
             self._relaxation.fill_(1.0 if done < UNRELAXED else RELAXED)
             self._newton()
-            self._press(self._largest(self._furthest) < CALM)
+            self._hold()
             self.tally.passes += 1
         stands = stands or self._harmless()
         inputs = [self._active, self._method, self._rods, self._roots, self._scratch, self._position]
@@ -226,7 +227,9 @@ class StrandContact:
 
         places = [self._start, self._position]
         self._locate = of_pairs(locate, [self._reach, self._stiffness, *places], LOCATE_WORK)
-        self._pressing = [of_pairs(press, [self._friction, *places, keep], PAIR_WORK) for keep in (False, True)]
+        self._press = of_pairs(press, [self._friction, *places], PAIR_WORK)
+        calm = [self._strand, self._furthest, wp.float64(CALM)]
+        self._hold = of_pairs(hold, [self._friction, *places, *calm], PAIR_WORK)
         acting = [self._acting, self._acting_count]
         self._gather = of_strands(
             kernels.gather, [active, pairs.first, pairs.incident, meetings, rods], [scratch, *acting]
@@ -246,12 +249,9 @@ class StrandContact:
             [self._position, self._furthest, self._stray],
         )
 
-    def _press(self, keep: bool) -> None:
-        self._pressing[int(keep)]()
-
     def _newton(self) -> None:
         """One Newton step of all strands together."""
-        self._press(False)
+        self._press()
         self._gather()
         self._linearise()
         pairs = np.flatnonzero(self._meetings.acts.numpy()[: self.pairs.count]).astype(np.int32)
@@ -317,8 +317,8 @@ class StrandContact:
         self._launch(self._kernels.hold_back, inputs, [self._scratch, self._position])
 
     def _largest(self, values: wp.array) -> float:
-        """Of one entry an active strand."""
-        return float(values.numpy()[: self._count].max())
+        """Over the strands solved, of (strand_count,)."""
+        return float(values.numpy()[self._strands].max())
 
     def _products(self) -> float:
         return float(self._product.numpy()[: self._count].sum())
@@ -349,6 +349,7 @@ class StrandContact:
         self._alpha, self._beta, self._relaxation = (
             wp.zeros(1, dtype=wp.float64, device=device) for _ in range(3)
         )
+        self._strand = wp.array(self._layout.node_strand, dtype=wp.int32, device=device)
         self._definite = wp.zeros(strands, dtype=wp.int32, device=device)
 
     def _hold_pairs(self) -> None:

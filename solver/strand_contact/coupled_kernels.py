@@ -325,11 +325,10 @@ def coupled_kernels(real: type) -> SimpleNamespace:
     ):
         """Takes the step, or `relaxation` of it, or so much that no edge turns too far at once.
 
-        furthest_out: longest displacement asked for, over the strand's segments; one entry an item.
-        stray_out: [m] the furthest that a node now is from where pairs were found for, `expected`; the same.
+        furthest_out: (strand_count,) longest displacement asked for, over the strand's segments.
+        stray_out: (strand_count,) [m] the furthest that a node now is from `expected`, for which pairs were found.
         """
-        item = first + wp.tid()
-        strand = strands[item]
+        strand = strands[first + wp.tid()]
         base = rods.first_node[strand]
         count = rods.first_node[strand + 1] - base
         root = roots.position[strand]
@@ -357,8 +356,8 @@ def coupled_kernels(real: type) -> SimpleNamespace:
             x = root + wp.vec3d(scratch.position[node])
             position_out[node] = x
             stray = wp.max(stray, wp.length(x - expected[node]))
-        stray_out[item] = stray
-        furthest_out[item] = wp.float64(wp.sqrt(furthest) / rods.segment[strand])
+        stray_out[strand] = stray
+        furthest_out[strand] = wp.float64(wp.sqrt(furthest) / rods.segment[strand])
 
     @kernel
     def hold_back(

@@ -178,56 +178,93 @@ def locate(
     meetings.gap[item] = gap
 
 
-@wp.kernel
-def press(
-    first: int,
+@wp.struct
+class Push:
+    """What the edges of a pair do to each other."""
+
+    pressure: wp.float64  # [N]
+    traction: wp.vec3d  # [N] on a
+    block: wp.mat33d  # [N/m] the force's derivative by -p_a
+
+
+@wp.func
+def push(
     friction: wp.array(dtype=wp.float64),
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
-    keep: bool,
     meetings: Meetings,
+    item: int,
 ):
-    """Force and stiffness of each pair at `x`; keep: hold that force from now on.  One pair an item.
-
-    friction: (node_count,) Coulomb coefficient; a pair's is the mean of both.
-    """
-    item = first + wp.tid()
+    """Of a pair at `x`."""
     a = meetings.edges[item][0]
     b = meetings.edges[item][1]
     s = meetings.place[item][0]
     t = meetings.place[item][1]
     n = meetings.normal[item]
     k = meetings.stiffness[item]
+    out = Push()
+    if k == ZERO:
+        return out
     offset = along(x, a, s) - along(x, b, t)
-    gap = wp.dot(n, offset) - meetings.target[item]
     held = meetings.pressure[item]
-    pressure = ZERO
-    if k > ZERO:
-        pressure = wp.max(held - k * gap, ZERO)
-    acts = wp.int32(0)
-    force = wp.vec3d()
-    block = wp.mat33d()
-    traction = wp.vec3d()
-    if pressure > ZERO:
-        acts = 1
+    out.pressure = wp.max(held - k * (wp.dot(n, offset) - meetings.target[item]), ZERO)
+    if out.pressure > ZERO:
         nn = wp.outer(n, n)
-        block = k * nn
+        out.block = k * nn
         bound = wp.float64(0.5) * (friction[a] + friction[b]) * held
         if bound > ZERO:
             across = wp.identity(n=3, dtype=wp.float64) - nn
-            slip = across * (offset - along(start, a, s) + along(start, b, t))
-            traction = across * meetings.traction[item] - k * slip
+            slip = offset - along(start, a, s) + along(start, b, t)
+            traction = across * (meetings.traction[item] - k * slip)
             size = wp.length(traction)
             if size <= bound:
-                block += k * across
+                out.traction = traction
+                out.block += k * across
             else:
                 direction = traction / size
-                traction = bound * direction
-                block += (k * bound / size) * (across - wp.outer(direction, direction))
-        force = pressure * n + traction
-    meetings.acts[item] = acts
-    meetings.force[item] = force
-    meetings.block[item] = block
-    if keep:
-        meetings.pressure[item] = pressure
-        meetings.traction[item] = traction
+                out.traction = bound * direction
+                out.block += (k * bound / size) * (across - wp.outer(direction, direction))
+    return out
+
+
+@wp.kernel
+def press(
+    first: int,
+    friction: wp.array(dtype=wp.float64),
+    start: wp.array(dtype=wp.vec3d),
+    x: wp.array(dtype=wp.vec3d),
+    meetings: Meetings,
+):
+    """Force and stiffness of each pair at `x`; one pair an item.
+
+    friction: (node_count,) Coulomb coefficient; a pair's is the mean of both.
+    """
+    item = first + wp.tid()
+    pushed = push(friction, start, x, meetings, item)
+    meetings.acts[item] = wp.where(pushed.pressure > ZERO, 1, 0)
+    meetings.force[item] = pushed.pressure * meetings.normal[item] + pushed.traction
+    meetings.block[item] = pushed.block
+
+
+@wp.kernel
+def hold(
+    first: int,
+    friction: wp.array(dtype=wp.float64),
+    start: wp.array(dtype=wp.vec3d),
+    x: wp.array(dtype=wp.vec3d),
+    strand: wp.array(dtype=wp.int32),
+    furthest: wp.array(dtype=wp.float64),
+    calm: wp.float64,
+    meetings: Meetings,
+):
+    """Holds a pair's force at `x` from now on, if neither strand has moved further than `calm`; one pair an item.
+
+    strand: (node_count,) of each node.  furthest: (strand_count,) each strand's last move.
+    """
+    item = first + wp.tid()
+    edges = meetings.edges[item]
+    if wp.max(furthest[strand[edges[0]]], furthest[strand[edges[1]]]) > calm:
+        return
+    pushed = push(friction, start, x, meetings, item)
+    meetings.pressure[item] = pushed.pressure
+    meetings.traction[item] = pushed.traction
