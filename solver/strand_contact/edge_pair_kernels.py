@@ -18,6 +18,8 @@ STRAIGHT = wp.constant(wp.float64(0.9))
 # Rounding of a coordinate to float32, generously.
 TO_FLOAT = wp.constant(wp.float64(2.0e-7))
 FAR = wp.constant(1.0e30)
+# Edges of a strand passed over at once, when it is asked whether it meets itself.
+MOST_PASSED = wp.constant(1.0e6)
 # Columns along a side are numbered in 15 bits.
 LAST_COLUMN = wp.constant(32767.0)
 # Where a box begins and ends in a column takes 15 bits of a lane; the sixteenth guards the next lane.
@@ -71,7 +73,7 @@ class StrandBoxes:
     upper: wp.array(dtype=wp.vec3f)
     extent: wp.array(dtype=wp.vec3f)  # [m] summed over the strand's edges
     largest: wp.array(dtype=wp.vec3f)  # [m] of its edges
-    turning: wp.array(dtype=wp.int32)  # 1: the strand turns enough to meet itself
+    meets_itself: wp.array(dtype=wp.int32)  # 1: any two of the strand's edges are a pair
 
 
 @wp.struct
@@ -123,12 +125,42 @@ def box_of_path(x: wp.vec3d, x_end: wp.vec3d, motion: Motion, reach: wp.float64)
 
 
 @wp.func
-def turns(edges: Edges, x: wp.array(dtype=wp.vec3d), root: int, tip: int) -> bool:
-    """Whether any edge leaves the cone about the strand's chord in which a strand cannot meet itself."""
-    axis = wp.normalize(x[tip] - x[root])
-    for k in range(root, tip):
-        if not wp.dot(axis, x[k + 1] - x[k]) >= STRAIGHT * (edges.along[k + 1] - edges.along[k]):
-            return True
+def straight_between(edges: Edges, x: wp.array(dtype=wp.vec3d), a: int, b: int) -> bool:
+    return wp.length(x[b + 1] - x[a]) >= STRAIGHT * (edges.along[b + 1] - edges.along[a])
+
+
+@wp.func
+def may_meet_itself(
+    edges: Edges, start: wp.array(dtype=wp.vec3d), end: wp.array(dtype=wp.vec3d), a: int, b: int
+) -> bool:
+    """Whether two edges of one strand, a before b and without a common node, are a pair."""
+    if edges.along[b] - edges.along[a + 1] < edges.reach[a] + edges.reach[b]:
+        return False
+    return not (straight_between(edges, start, a, b) and straight_between(edges, end, a, b))
+
+
+@wp.func
+def meets_itself(
+    edges: Edges,
+    boxes: Boxes,
+    start: wp.array(dtype=wp.vec3d),
+    end: wp.array(dtype=wp.vec3d),
+    root: int,
+    tip: int,
+    largest: float,
+) -> bool:
+    """Whether any two edges of a strand are a pair whose boxes overlap. largest: of its boxes' sides [m].
+
+    Boxes of neighbours overlap: one that is a gap away from an edge's comes near it after gap / largest more, no
+    sooner, so that many are passed over.
+    """
+    for a in range(root, tip - 2):
+        b = wp.int32(a + 2)
+        while b < tip:
+            apart = wp.max(wp.max(boxes.lower[a] - boxes.upper[b]), wp.max(boxes.lower[b] - boxes.upper[a]))
+            if apart <= 0.0 and may_meet_itself(edges, start, end, a, b):
+                return True
+            b += int(wp.clamp(apart / largest, 1.0, MOST_PASSED))
     return False
 
 
@@ -139,6 +171,7 @@ def bound_strands(
     start: wp.array(dtype=wp.vec3d),
     end: wp.array(dtype=wp.vec3d),
     motion: Motion,
+    with_themselves: bool,
     boxes_out: Boxes,
     strands_out: StrandBoxes,
 ):
@@ -170,7 +203,9 @@ def bound_strands(
     strands_out.upper[strand] = strand_upper
     strands_out.extent[strand] = extent
     strands_out.largest[strand] = largest
-    strands_out.turning[strand] = wp.where(turns(edges, start, root, tip) or turns(edges, end, root, tip), 1, 0)
+    if with_themselves:
+        meets = meets_itself(edges, boxes_out, start, end, root, tip, wp.max(largest))
+        strands_out.meets_itself[strand] = wp.where(meets, 1, 0)
 
 
 @wp.func
@@ -287,11 +322,6 @@ def find_furthest(
         furthest_out[slot] = furthest
 
 
-@wp.func
-def straight_between(edges: Edges, x: wp.array(dtype=wp.vec3d), a: int, b: int) -> bool:
-    return wp.length(x[b + 1] - x[a]) >= STRAIGHT * (edges.along[b + 1] - edges.along[a])
-
-
 @wp.struct
 class Search:
     """What a search among the entries reads."""
@@ -312,17 +342,6 @@ class Partners:
     first: wp.array(dtype=wp.int32)  # (node_count,) of each edge's list
     count: wp.array(dtype=wp.int32)  # (node_count + 1,)
     needed: wp.array(dtype=wp.int32)  # (chunk_count,) room for a chunk's lists, if there was not enough
-
-
-@wp.func
-def may_meet_itself(search: Search, p: int, q: int) -> bool:
-    """Whether two edges of one strand without a common node are a pair."""
-    edges = search.edges
-    a = wp.min(p, q)
-    b = wp.max(p, q)
-    if edges.along[b] - edges.along[a + 1] < edges.reach[a] + edges.reach[b]:
-        return False
-    return not (straight_between(edges, search.start, a, b) and straight_between(edges, search.end, a, b))
 
 
 @wp.func
@@ -367,7 +386,7 @@ def keep_partners(search: Search, a: int, first: int, count: int, list_out: wp.a
         b = list_out[candidate]
         meets = b >= end
         if not meets:
-            meets = b > a + 1 and may_meet_itself(search, a, b)
+            meets = b > a + 1 and may_meet_itself(search.edges, search.start, search.end, a, b)
         elif prescribed:
             meets = search.edges.prescribed[b] == 0
         if meets:

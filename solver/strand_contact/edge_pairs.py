@@ -87,7 +87,7 @@ class EdgePairs:
             boxes.upper = self._full(count, wp.vec3f, -1.0)
         self._strand_boxes.extent = self._full(self._strand_count, wp.vec3f)
         self._strand_boxes.largest = self._full(self._strand_count, wp.vec3f)
-        self._strand_boxes.turning = self._full(self._strand_count, wp.int32)
+        self._strand_boxes.meets_itself = self._full(self._strand_count, wp.int32)
         self._buffers: dict[str, wp.array] = {}
         chunks = -(-self._node_count // CHUNK)
         self._partners = Partners()
@@ -108,13 +108,14 @@ class EdgePairs:
         start, end: (node_count,) vec3d [m] world.  margin: [m], beyond the sum of the reaches.
         """
         motion = _common_motion(start, end, 0.5 * margin)
-        inputs = [self._edges, start, end, motion]
+        # In a thick of strands, the search itself is cheaper than asking which take part.
+        asked = self.near.mean() < THICK
+        inputs = [self._edges, start, end, motion, asked]
         work = BOUND_WORK * max(1, self._node_count // self._strand_count)
         self._launcher.launch(
             bound_strands, self._strand_count, inputs, [self._boxes, self._strand_boxes], work_per_item=work
         )
-        # In a thick of strands, the search itself is cheaper than asking which take part.
-        near = self._strands_in_reach() if self.near.mean() < THICK else np.ones(self._strand_count, dtype=bool)
+        near = self._strands_in_reach() if asked else np.ones(self._strand_count, dtype=bool)
         if not near.any():
             self._clear()
             return False
@@ -128,7 +129,7 @@ class EdgePairs:
     def _strands_in_reach(self) -> np.ndarray:
         """(strand_count,) bool: whose box meets another's, or who may meet themselves."""
         lower, upper = self._strand_boxes.lower.numpy(), self._strand_boxes.upper.numpy()
-        near = self._strand_boxes.turning.numpy() > 0
+        near = self._strand_boxes.meets_itself.numpy() > 0
         axis = int(np.argmax(np.ptp(lower, axis=0)))
         order = np.argsort(lower[:, axis], kind="stable")
         lower, upper = lower[order], upper[order]

@@ -131,11 +131,13 @@ def test_same_bits_on_two_threads():
 
 
 def test_strands_apart_cost_one_launch():
-    """A field of strands 2 cm apart that sway by 5 mm and are carried by 0.2 m; and one strand alone."""
+    """A field of strands 2 cm apart that sway by 5 mm and are carried 0.2 m; one alone, straight, bent, curled."""
     s = np.linspace(0.0, 0.05, 20)
     upright = np.stack([0.0 * s, 0.0 * s, s], axis=1)
     places = 0.02 * np.stack(np.meshgrid(np.arange(12), np.arange(12), [0.0]), axis=-1).reshape(-1, 1, 3)
-    for strands in (list(places + upright), [upright]):
+    bent = 0.05 * np.stack([np.sin(30.0 * s), 0.0 * s, np.cos(30.0 * s)], axis=1)
+    curled = np.stack([5e-3 * np.sin(300.0 * s), 5e-3 * np.cos(300.0 * s), 0.2 * s], axis=1)
+    for strands in (list(places + upright), [upright], [bent], [curled]):
         layout, launcher = layout_of(strands), Launcher("cpu", threads=1)
         pairs = edge_pairs(layout, launcher=launcher)
         sway = 5e-3 * np.sin(layout.position[:, 2:] * 30.0) * [1.0, 0.0, 0.0] + 0.2
