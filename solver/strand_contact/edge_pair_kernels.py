@@ -4,22 +4,17 @@ Every edge is entered in each column of a square grid across one axis that its b
 column, then by where their boxes begin along that axis. An edge finds its partners among the entries before and
 behind its own in each of its columns. A pair may meet in several columns: it counts in the one that holds the
 lower corner of the boxes' intersection. Columns are numbered modulo the table's size, so that the table stays
-small; the boxes' own test tells columns apart that share a place.
+small; entries know their column, which tells those apart that share a place.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
+from plait.solver.strand_contact.edge_box_kernels import Boxes, Edges, may_meet_itself
+
 wp.set_module_options({"enable_backward": False})
 
-# Edges between which a strand is as straight as this (chord over length), at start and end, are no pair.
-STRAIGHT = wp.constant(wp.float64(0.9))
-# Rounding of a coordinate to float32, generously.
-TO_FLOAT = wp.constant(wp.float64(2.0e-7))
-FAR = wp.constant(1.0e30)
-# Edges of a strand passed over at once, when it is asked whether it meets itself.
-MOST_PASSED = wp.constant(1.0e6)
 # Columns along a side are numbered in 15 bits.
 LAST_COLUMN = wp.constant(32767.0)
 # Where a box begins and ends in a column takes 15 bits of a lane; the sixteenth guards the next lane.
@@ -32,48 +27,6 @@ NO_BITS = wp.constant(wp.uint64(0))
 # Entries of an item that takes the running maximum; edges of one that searches.
 RUN = wp.constant(1024)
 CHUNK = wp.constant(256)
-
-
-@wp.struct
-class Edges:
-    """What is constant: edge k joins nodes k and k + 1."""
-
-    first_node: wp.array(dtype=wp.int32)  # (strand_count + 1,)
-    strand: wp.array(dtype=wp.int32)  # (node_count,) of node and edge
-    reach: wp.array(dtype=wp.float64)  # (node_count,) [m] half of what an edge keeps another at
-    along: wp.array(dtype=wp.float64)  # (node_count,) [m] drawn length from the strand's first node
-    prescribed: wp.array(dtype=wp.int32)  # (node_count,) 1: both of the edge's nodes are
-
-
-@wp.struct
-class Motion:
-    """The strands' common motion over the substep, x to turn_back^T (x - from_) + to, and what is left of it."""
-
-    from_: wp.vec3d  # [m]
-    to: wp.vec3d  # [m]
-    turn_back: wp.mat33d
-    bulge: wp.float64  # how far a path leaves its chord in the moving frame, a part of the chord
-    widen: wp.float64  # of distances, seen in the moving frame
-    margin: wp.float64  # [m] half of what is to be found beyond the reaches
-
-
-@wp.struct
-class Boxes:
-    """Swept boxes of the edges in the moving frame [m], float32 rounded outwards; empty: upper below lower."""
-
-    lower: wp.array(dtype=wp.vec3f)  # (node_count,)
-    upper: wp.array(dtype=wp.vec3f)
-
-
-@wp.struct
-class StrandBoxes:
-    """The same of whole strands."""
-
-    lower: wp.array(dtype=wp.vec3f)  # (strand_count,)
-    upper: wp.array(dtype=wp.vec3f)
-    extent: wp.array(dtype=wp.vec3f)  # [m] summed over the strand's edges
-    largest: wp.array(dtype=wp.vec3f)  # [m] of its edges
-    meets_itself: wp.array(dtype=wp.int32)  # 1: any two of the strand's edges are a pair
 
 
 @wp.struct
@@ -111,101 +64,6 @@ class Entries:
     place: wp.array(dtype=wp.int32)  # (entry_count,) where each entry, as numbered, has come to be
     first: wp.array(dtype=wp.int32)  # (node_count + 1,) of an edge's own, as numbered
     count: int
-
-
-@wp.func
-def box_of_path(x: wp.vec3d, x_end: wp.vec3d, motion: Motion, reach: wp.float64):
-    """(lower, upper) [m] of a node's path in the moving frame, padded."""
-    y = x - motion.from_
-    y_end = motion.turn_back * (x_end - motion.to)
-    size = wp.max(wp.max(wp.abs(y)), wp.max(wp.abs(y_end)))
-    pad = motion.bulge * wp.length(y_end - y) + motion.widen * (reach + motion.margin) + TO_FLOAT * size
-    pads = wp.vec3d(pad, pad, pad)
-    return wp.vec3f(wp.min(y, y_end) - pads), wp.vec3f(wp.max(y, y_end) + pads)
-
-
-@wp.func
-def straight_between(edges: Edges, x: wp.array(dtype=wp.vec3d), a: int, b: int) -> bool:
-    return wp.length(x[b + 1] - x[a]) >= STRAIGHT * (edges.along[b + 1] - edges.along[a])
-
-
-@wp.func
-def may_meet_itself(
-    edges: Edges, start: wp.array(dtype=wp.vec3d), end: wp.array(dtype=wp.vec3d), a: int, b: int
-) -> bool:
-    """Whether two edges of one strand, a before b and without a common node, are a pair."""
-    if edges.along[b] - edges.along[a + 1] < edges.reach[a] + edges.reach[b]:
-        return False
-    return not (straight_between(edges, start, a, b) and straight_between(edges, end, a, b))
-
-
-@wp.func
-def meets_itself(
-    edges: Edges,
-    boxes: Boxes,
-    start: wp.array(dtype=wp.vec3d),
-    end: wp.array(dtype=wp.vec3d),
-    root: int,
-    tip: int,
-    largest: float,
-) -> bool:
-    """Whether any two edges of a strand are a pair whose boxes overlap. largest: of its boxes' sides [m].
-
-    Boxes of neighbours overlap: one that is a gap away from an edge's comes near it after gap / largest more, no
-    sooner, so that many are passed over.
-    """
-    for a in range(root, tip - 2):
-        b = wp.int32(a + 2)
-        while b < tip:
-            apart = wp.max(wp.max(boxes.lower[a] - boxes.upper[b]), wp.max(boxes.lower[b] - boxes.upper[a]))
-            if apart <= 0.0 and may_meet_itself(edges, start, end, a, b):
-                return True
-            b += int(wp.clamp(apart / largest, 1.0, MOST_PASSED))
-    return False
-
-
-@wp.kernel(enable_backward=False)
-def bound_strands(
-    first: int,
-    edges: Edges,
-    start: wp.array(dtype=wp.vec3d),
-    end: wp.array(dtype=wp.vec3d),
-    motion: Motion,
-    with_themselves: bool,
-    boxes_out: Boxes,
-    strands_out: StrandBoxes,
-):
-    strand = first + wp.tid()
-    root = edges.first_node[strand] + 1
-    tip = edges.first_node[strand + 1] - 1
-    empty = wp.vec3f(FAR, FAR, FAR)
-    strand_lower = empty
-    strand_upper = -empty
-    extent = wp.vec3f()
-    largest = wp.vec3f()
-    for k in range(root, tip):
-        # Both ends with the edge's reach: it is the larger of its nodes'.
-        lower, upper = box_of_path(start[k], end[k], motion, edges.reach[k])
-        lower_b, upper_b = box_of_path(start[k + 1], end[k + 1], motion, edges.reach[k])
-        lower = wp.min(lower, lower_b)
-        upper = wp.max(upper, upper_b)
-        if wp.isfinite(lower) and wp.isfinite(upper):
-            boxes_out.lower[k] = lower
-            boxes_out.upper[k] = upper
-            strand_lower = wp.min(strand_lower, lower)
-            strand_upper = wp.max(strand_upper, upper)
-            extent += upper - lower
-            largest = wp.max(largest, upper - lower)
-        else:
-            boxes_out.lower[k] = empty
-            boxes_out.upper[k] = -empty
-    strands_out.lower[strand] = strand_lower
-    strands_out.upper[strand] = strand_upper
-    strands_out.extent[strand] = extent
-    strands_out.largest[strand] = largest
-    if with_themselves:
-        meets = meets_itself(edges, boxes_out, start, end, root, tip, wp.max(largest))
-        strands_out.meets_itself[strand] = wp.where(meets, 1, 0)
 
 
 @wp.func

@@ -8,19 +8,15 @@ import numpy as np
 import warp as wp
 
 from plait.solver.launch import Launcher
+from plait.solver.strand_contact.edge_box_kernels import Boxes, Edges, Motion, StrandBoxes, bound_strands
 from plait.solver.strand_contact.edge_pair_kernels import (
     CHUNK,
     RUN,
-    Boxes,
     Columns,
-    Edges,
     Entries,
     Entry,
-    Motion,
     Partners,
     Search,
-    StrandBoxes,
-    bound_strands,
     count_entries,
     end_runs,
     find_furthest,
@@ -33,6 +29,8 @@ from plait.solver.strand_contact.edge_pair_kernels import (
 )
 from plait.solver.strands.layout import Layout
 
+# A strand that turns by less than about a quarter of a circle between two edges does not bring them together.
+STRAIGHT = 0.9
 # The common motion is fitted to about so many nodes, evenly chosen.
 SAMPLES = 256
 # A common turn larger than this [rad] is left in: distances seen in the turning frame would widen much.
@@ -57,29 +55,40 @@ class EdgePairs:
     """Pairs of edges, a before b, that may come near each other while nodes move linearly from start to end.
 
     Every pair of edges that at any time of that motion is nearer than reach_a + reach_b + margin is found, and
-    none whose swept boxes, so padded and seen in a frame that moves with the strands, are apart; a common motion,
-    however large, costs nothing. An edge's reach is the larger of its nodes'. No pairs are:
+    none whose swept boxes, so padded and seen in a frame that moves with the strands, are apart (to 1 / 2^14 of
+    the strands' extent); a common motion, however large, costs nothing. An edge's reach is its nodes' larger one.
+    No pairs are:
     - edges next to each other in their strand, and those with less strand than reach_a + reach_b between them;
-    - edges of one strand that is nearly straight from the one to the other, at the start and at the end;
+    - edges of one strand that stays nearly straight from the one to the other (`straight`);
     - edges whose four nodes are all prescribed.
 
-    count: pairs found by the last `find`.  pairs: (count,) vec2i, edges (a, b), sorted by a, then b.
+    The results are those of the last `find`; the next one overwrites the arrays.
+
+    count: pairs found.  pairs: (count,) vec2i, edges (a, b), sorted by a, then b.
     first: (node_count + 1,) int32 and incident: (2 count,) int32: the pairs of edge k are incident[i] // 2 for i
     from first[k] to first[k + 1] - 1, in the order of the other edge; incident[i] % 2 is k's side in the pair.
     near: (strand_count,) bool, strands with any pair.
     """
 
     def __init__(
-        self, launcher: Launcher, layout: Layout, reach: np.ndarray, prescribed: np.ndarray | None = None
+        self,
+        launcher: Launcher,
+        layout: Layout,
+        reach: np.ndarray,
+        prescribed: np.ndarray | None = None,
+        straight: float = STRAIGHT,
     ) -> None:
         """reach: (node_count,) [m] half distances: edges interact below the sum of theirs.
 
         prescribed: (node_count,) bool, nodes that nothing moves; None: ghosts and roots.
+        straight: chord over drawn length, from the outer ends of two edges of a strand, from which on they are no
+        pair; infinite: all are.
         """
         self._launcher = launcher
         self._first_node = layout.first_node
         self._node_count, self._strand_count = layout.node_count, layout.strand_count
         self._edges = self._hold_edges(layout, reach, prescribed)
+        self._edges.straight = straight
         self._boxes, self._strand_boxes = Boxes(), StrandBoxes()
         for boxes, count in ((self._boxes, self._node_count), (self._strand_boxes, self._strand_count)):
             # Slots that are no edge keep an empty box.

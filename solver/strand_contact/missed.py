@@ -26,8 +26,8 @@ class MissedCollisions:
 
     def __init__(self, launcher: Launcher, layout: Layout) -> None:
         self._launcher = launcher
-        nodes = layout.node_count
-        self._edge_pairs = EdgePairs(launcher, layout, np.zeros(nodes), prescribed=np.zeros(nodes, dtype=bool))
+        nowhere = np.zeros(layout.node_count)
+        self._edge_pairs = EdgePairs(launcher, layout, nowhere, prescribed=nowhere > 0.0, straight=np.inf)
         self.pairs = np.zeros((0, 2), dtype=np.int32)
 
     def count(self, start: wp.array, end: wp.array) -> int:

@@ -76,8 +76,8 @@ def roots_of_quadratic(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.vec2d:
 
 
 @wp.func
-def extrema(pair: MovingPair) -> wp.vec2d:
-    """Ascending times between which the cubic is monotone."""
+def cubic(pair: MovingPair) -> wp.vec4d:
+    """Coefficients of f by powers of time."""
     w = pair.p
     u = pair.u
     v = pair.q - pair.p
@@ -86,7 +86,18 @@ def extrema(pair: MovingPair) -> wp.vec2d:
     dv = pair.q_end - pair.p_end - v
     linear = triple(dw, u, v) + triple(w, du, v) + triple(w, u, dv)
     square = triple(w, du, dv) + triple(dw, u, dv) + triple(dw, du, v)
-    return roots_of_quadratic(THREE * triple(dw, du, dv), TWO * square, linear)
+    return wp.vec4d(triple(w, u, v), linear, square, triple(dw, du, dv))
+
+
+@wp.func
+def has_no_root(c: wp.vec4d, rounding: wp.float64) -> bool:
+    """Whether the Bernstein coefficients, whose hull holds the cubic's values on [0, 1], are all of one sign."""
+    early = c[0] + c[1] / THREE
+    late = early + (c[1] + c[2]) / THREE
+    end = c[0] + c[1] + c[2] + c[3]
+    lowest = wp.min(wp.min(c[0], early), wp.min(late, end))
+    highest = wp.max(wp.max(c[0], early), wp.max(late, end))
+    return lowest > rounding or highest < -rounding
 
 
 @wp.func
@@ -157,7 +168,11 @@ def pass_through(pair: MovingPair) -> bool:
     v_size = wp.max(wp.length(pair.q - pair.p), wp.length(pair.q_end - pair.p_end))
     w_size = wp.max(wp.length(pair.p), wp.length(pair.p_end))
     rounding = ROUNDING * u_size * v_size * w_size
-    turning = extrema(pair)
+    c = cubic(pair)
+    # Differences of the ends are up to twice as large as these, and a coefficient sums up to eight such products.
+    if has_no_root(c, wp.float64(64.0) * rounding):
+        return False
+    turning = roots_of_quadratic(THREE * c[3], TWO * c[2], c[1])
     t1 = wp.clamp(turning[0], ZERO, ONE)
     t2 = wp.clamp(turning[1], ZERO, ONE)
     f0 = coplanarity(pair, ZERO)
