@@ -33,14 +33,13 @@ LINEAR_TOLERANCE = 0.01
 MAX_LINEAR_ITERATIONS = 40
 # A pass that moves no node further than this part of a segment leaves contact forces that are worth holding.
 CALM = 0.003
-# Contacts may be nearer by this part of their distance than they should.
-OVERLAP = 0.1
 # A pass that moves no node further than this part of a segment, with nothing out of place, is the last.
 SETTLED = 0.03
 # Passes with full steps; what then still goes to and fro is damped.
 UNRELAXED, RELAXED = 5, 0.6
-# What passes that are at an end may leave: how far a node still moves, of a segment, and how near contacts are.
-UNSETTLED, DEEPEST = 0.3, 0.6
+# What passes that are at an end may leave: how far a node still moves, of a segment, and how many times as near
+# contacts are as they otherwise may.
+UNSETTLED, DEEPEST = 0.3, 6.0
 # Strands that would go further through each other than this part of a segment take shorter steps at once.
 FURTHEST = 1.0
 # As a last resort strands go half, a quarter, ... of their way, so often, then none of it.
@@ -54,6 +53,7 @@ MEETING_ARRAYS = {
     "normal": wp.vec3d,
     "target": wp.float64,
     "gap": wp.float64,
+    "slack": wp.float64,
     "crossing": wp.int32,
     "turned": wp.int32,
     "stiffness": wp.float64,
@@ -161,6 +161,7 @@ class StrandContact:
     def commit(self) -> None:
         """The substep stands: its contacts are those to go on from."""
         if self._meets:
+            self._hold_all()
             self._remember(self._held)
             self.tally.contacts = int(np.count_nonzero(self._meetings.pressure.numpy()[: self.pairs.count]))
 
@@ -228,8 +229,9 @@ class StrandContact:
         places = [self._start, self._position]
         self._locate = of_pairs(locate, [self._reach, self._stiffness, *places], LOCATE_WORK)
         self._press = of_pairs(press, [self._friction, *places], PAIR_WORK)
-        calm = [self._strand, self._furthest, wp.float64(CALM)]
-        self._hold = of_pairs(hold, [self._friction, *places, *calm], PAIR_WORK)
+        moved = [self._friction, *places, self._strand, self._furthest]
+        self._hold = of_pairs(hold, [*moved, wp.float64(CALM)], PAIR_WORK)
+        self._hold_all = of_pairs(hold, [*moved, wp.float64(np.inf)], PAIR_WORK)
         acting = [self._acting, self._acting_count]
         self._gather = of_strands(
             kernels.gather, [active, pairs.first, pairs.incident, meetings, rods], [scratch, *acting]
@@ -282,7 +284,7 @@ class StrandContact:
         count, meetings = self.pairs.count, self._meetings
         if meetings.crossing.numpy()[:count].any():
             return False
-        gap, allowed = meetings.gap.numpy()[:count], OVERLAP * meetings.target.numpy()[:count]
+        gap, allowed = meetings.gap.numpy()[:count], meetings.slack.numpy()[:count]
         under = (gap < -allowed) | ((gap > allowed) & (meetings.pressure.numpy()[:count] > 0.0))
         return not under.any() and self._largest(self._furthest) <= SETTLED
 
@@ -291,7 +293,7 @@ class StrandContact:
         count, meetings = self.pairs.count, self._meetings
         if meetings.crossing.numpy()[:count].any() or self._largest(self._furthest) > UNSETTLED:
             return False
-        return bool((meetings.gap.numpy()[:count] >= -DEEPEST * meetings.target.numpy()[:count]).all())
+        return bool((meetings.gap.numpy()[:count] >= -DEEPEST * meetings.slack.numpy()[:count]).all())
 
     def _hold_back(self, planes: ContactPlanes, constrained: bool) -> None:
         """Strands that still go through others go less far, in the end no further than their roots carry them."""

@@ -20,6 +20,9 @@ wp.set_module_options({"enable_backward": False})
 
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
+TWO = wp.constant(wp.float64(2.0))
+# Contacts may be nearer, or press from further, by this part of the distance that two of the thinner would keep.
+OVERLAP = wp.constant(wp.float64(0.1))
 # What two strands nearer than their distance to keep are asked to regain of it in a substep.
 REGAINED = wp.constant(wp.float64(0.2))
 # Where edges are on their way through each other, their geometry is taken when so much of their distance is left.
@@ -39,6 +42,7 @@ class Meetings:
     normal: wp.array(dtype=wp.vec3d)  # from b to a
     target: wp.array(dtype=wp.float64)  # [m] distance to keep
     gap: wp.array(dtype=wp.float64)  # [m] distance beyond that
+    slack: wp.array(dtype=wp.float64)  # [m] by which a gap may be wrong
     crossing: wp.array(dtype=wp.int32)  # 1: the edges have gone through each other
     turned: wp.array(dtype=wp.int32)  # 1: they had when their geometry was taken
     stiffness: wp.array(dtype=wp.float64)  # [N/m] k; 0 where the pair takes no part
@@ -175,6 +179,9 @@ def locate(
     meetings.normal[item] = normal
     meetings.target[item] = target
     meetings.stiffness[item] = held
+    meetings.slack[item] = OVERLAP * wp.min(
+        target, TWO * wp.min((ONE - s) * reach[a] + s * reach[a + 1], (ONE - t) * reach[b] + t * reach[b + 1])
+    )
     meetings.gap[item] = gap
 
 
