@@ -37,6 +37,8 @@ SAMPLES = 256
 LARGEST_TURN = 1.0
 # A column is so many mean boxes wide.
 COLUMN = 2.0
+# [m] What is near has some size, if only to divide by: all of it may be one point, or gone astray.
+LEAST_SIZE = 1.0e-20
 # No box spans more columns along a side, and no side has more, by `LAST_COLUMN`.
 MAX_SPAN, MAX_COLUMNS = 32.0, 32000.0
 # Bits of a key, which must stay positive: at most so many for the table of columns, and for the way along them.
@@ -164,7 +166,7 @@ class EdgePairs:
         """Columns across the longest side of what is near, about two boxes wide."""
         boxes = self._strand_boxes
         lower = boxes.lower.numpy()[near].min(axis=0)
-        size = np.maximum(boxes.upper.numpy()[near].max(axis=0) - lower, np.finfo(np.float32).tiny)
+        size = np.maximum(boxes.upper.numpy()[near].max(axis=0) - lower, LEAST_SIZE)
         edge_count = (np.diff(self._first_node) - 2)[near].sum()
         mean = boxes.extent.numpy()[near].sum(axis=0, dtype=float) / edge_count
         largest = boxes.largest.numpy()[near].max(axis=0)

@@ -203,3 +203,4 @@ def test_a_strand_gone_astray_is_no_pair():
     broken[layout.node_strand == 3] = np.nan
     left = found(pairs, layout.position, broken)
     assert left and left <= listed and not pairs.near[3]
+    assert found(pairs, layout.position, np.full_like(broken, np.nan)) == set()
