@@ -133,8 +133,6 @@ class StrandContact:
         After `begin`; again from where it ended, with other planes, as often as need be. As a last resort what is
         still going through something is held back, and all stands.
         """
-        if not last_resort and self._too_fast():
-            return False
         self._prepare(planes, constrained)
         stands = False
         for done in range(self._settings.passes + 1):
@@ -144,13 +142,13 @@ class StrandContact:
             if done and self._settled():
                 stands = True
                 break
-            if done == self._settings.passes:
+            if done == self._settings.passes or (done == 1 and not last_resort and self._too_fast()):
                 break
             self._relaxation.fill_(1.0 if done < UNRELAXED else RELAXED)
             self._newton()
             self._hold()
             self.tally.passes += 1
-        stands = stands or self._harmless()
+        stands = stands or (done > 1 and self._harmless())
         inputs = [self._active, self._method, self._rods, self._roots, self._scratch, self._position]
         if not stands and last_resort:
             self._hold_back(planes, constrained)
@@ -203,15 +201,11 @@ class StrandContact:
         self._launcher.launch(remember, self._layout.node_count - 1, inputs, [forces], work_per_item=PAIR_WORK)
 
     def _too_fast(self) -> bool:
-        """Whether strands on their way without contact go further through each other than passes can put right."""
-        inputs = [self._reach, self._stiffness, self._start, self._expected]
-        self._launcher.launch(locate, self.pairs.count, inputs, [self._meetings], work_per_item=LOCATE_WORK)
+        """Whether strands now go further through each other than passes can put right."""
         through = np.flatnonzero(self._meetings.crossing.numpy()[: self.pairs.count])
         edges = self._meetings.edges.numpy()[through]
         segment = self._layout.mean_segment[self._layout.node_strand[edges]].min(axis=1)
-        deep = (-self._meetings.gap.numpy()[through] > FURTHEST * segment).any()
-        self._meetings.turned.zero_()
-        return bool(deep)
+        return bool((-self._meetings.gap.numpy()[through] > FURTHEST * segment).any())
 
     # -- a Newton pass -------------------------------------------------------------------------------------
 
