@@ -368,16 +368,23 @@ def hold(strands: Strands, prim: int, point: int, surface: int) -> Attachment:
     return Attachment(f"{strands.name} {point}", prim, np.array([point]), surface, np.zeros(1, np.int32), middle)
 
 
-def landing(strands: int = 37, segments: int = 30) -> Case:
-    """A bundle clamped at one end 1 cm over the floor falls on it from level and comes to rest."""
+def landing(strands: int = 37, segments: int = 30, ground: str = "trough") -> Case:
+    """A bundle clamped at one end 1 cm over the ground falls on it from level and comes to rest.
+
+    ground: 'trough', of two planes at 45 degrees, which holds the bundle together; 'floor', on which it slumps, as
+    round logs do.
+    """
     length, spacing = 0.3, 1.05 * (2.0 * TUBE.radius + TUBE_THICKNESS)
     places = bundle_places(strands, spacing)
     shapes = [straight(segments, length, (1, 0, 0), (0.0, 0.015 + y, z)) for y, z in places]
     surface, bundle = rods("bundle", shapes, replace(TUBE, damping=2.0), rest_shape="authored")
-    corners = np.array([[-1.0, 0.0, -1.0], [-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, -1.0]])
-    floor = Surface("floor", corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), friction=0.5)
+    side = 0.1 if ground == "trough" else 0.0
+    profile = np.array([[side, -0.1], [0.0, 0.0], [side, 0.1]])
+    corners = np.vstack([np.column_stack([np.full(3, x), profile]) for x in (-0.1, 0.4)])
+    triangles = np.array([[0, 1, 3], [1, 4, 3], [1, 2, 4], [2, 5, 4]], np.int32)
+    below = Surface("ground", corners, triangles, friction=0.5)
     bundle = replace(bundle, thickness=TUBE_THICKNESS)
-    return Case(Scene(surfaces=(surface, floor), strands=(bundle,)), frames=72)
+    return Case(Scene(surfaces=(surface, below), strands=(bundle,)), frames=72)
 
 
 def alone(strands: int = 16, segments: int = 30) -> Case:

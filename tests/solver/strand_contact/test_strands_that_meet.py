@@ -11,7 +11,7 @@ from plait.solver.settings import Settings, StrandContactSettings
 from plait.solver.step import Simulation
 
 from . import scenes
-from .referee import Referee, braid_invariant, inside_convex, linking_matrix
+from .referee import Referee, braid_invariant, inside_convex, linking_matrix, section, section_area
 
 FRAME = 1.0 / scenes.FRAMES_PER_SECOND
 
@@ -142,6 +142,22 @@ def test_capstan(friction, degrees):
         pull = simulation.state.arrays["strands/tension"].numpy()[2]  # of the second edge; the first is clamped
         ratios.append(pull / scenes.CAPSTAN_LOAD)
     assert np.mean(ratios[8:]) == pytest.approx(np.exp(friction * np.radians(degrees)), rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_bundle_keeps_its_section():
+    """Landed, the hull of its strands' discs is no less than their sum, and no more than 1.5 times that."""
+    simulation = start(scenes.landing())
+    judge = Referee(simulation)
+    radius = scenes.TUBE.radius + 0.5 * scenes.TUBE_THICKNESS
+    for frame in range(48):
+        simulation.advance_frame((frame + 1) * FRAME)
+    assert judge.missed == 0
+    for x in (0.1, 0.2):
+        places = section(curves(simulation), np.array([x, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+        own = len(places) * np.pi * radius**2
+        assert len(places) == 37
+        assert own <= section_area(places, radius) <= 1.5 * own
 
 
 def test_strands_that_never_meet_are_left_alone():
