@@ -237,7 +237,7 @@ def capstan(friction: float = 0.3, angle: float = np.pi, post: str = "strand") -
         fixed = straight(3, 0.06, (0, 0, 1), (0, 0, -0.03))
         post_ground, thick = rods("post", [fixed], stiff, rest_shape="authored", friction=friction, surface=1)
         scene = Scene(surfaces=(ground, post_ground), strands=(strand, thick), gravity=np.zeros(3))
-    return Case(scene, frames=24)
+    return Case(scene, frames=24, substeps=16)
 
 
 def _cylinder(facets: int, radius: float, length: float, friction: float) -> Surface:
