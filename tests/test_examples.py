@@ -79,3 +79,12 @@ def test_bears_left_as_they_started_fail_their_check():
     for hybrid, plain in ((left, left), (recovered, recovered)):
         with pytest.raises(AssertionError):
             example.check(example.Result(layout, skin, started, hybrid=hybrid, plain=plain))
+
+
+def test_a_braid_left_loose_or_passed_through_fails_its_check():
+    example = load(next(folder for folder in EXAMPLES if folder.name == "braid"))
+    loose = example.braided(example.SIZES["small"])
+    through = loose * [1.0, 1.0, -1.0]
+    for after in (loose, through):
+        with pytest.raises(AssertionError):
+            example.check(example.Result(example.np.stack([loose, after]), 0.0))
