@@ -28,7 +28,7 @@ def curves(simulation: Simulation) -> np.ndarray:
 
 
 SMALL, FULL = {"strands": 16, "segments": 24}, {"strands": 90, "segments": 60}
-TUBES = [pytest.param(SMALL, 8, id="small"), pytest.param(FULL, 100, id="full", marks=pytest.mark.slow)]
+TUBES = [pytest.param(SMALL, 8, id="small"), pytest.param(FULL, 30, id="full", marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize(("size", "frames"), TUBES)
@@ -77,7 +77,7 @@ def test_fast_crossings_stop_without_gaining_energy(pairs):
 
 HEADS = [
     pytest.param({"strands": 80, "segments": 12}, 8, id="small"),
-    pytest.param({"strands": 2000, "segments": 30}, 4, id="full", marks=pytest.mark.slow),
+    pytest.param({"strands": 300, "segments": 30}, 8, id="large", marks=pytest.mark.slow),
 ]
 
 
