@@ -261,7 +261,7 @@ def incline(angle: float = np.radians(20.0), friction: float = 0.3) -> Case:
     down = np.array([np.cos(angle), -np.sin(angle), 0.0])
     normal = np.array([np.sin(angle), np.cos(angle), 0.0])
     rails = [straight(30, 0.3, down, (0.0, 0.0, z)) for z in (-0.015, 0.015)]
-    lying = straight(10, 0.05, (0, 0, 1), 0.05 * down + (rail.radius + short.radius) * normal - [0, 0, 0.025])
+    lying = straight(10, 0.05, (0, 0, 1), 0.055 * down + (rail.radius + short.radius) * normal - [0, 0, 0.025])
     surface_a, a = rods("rails", rails, rail, friction=friction, surface=0)
     surface_b, b = rods("short", [lying], short, rest_shape="authored", friction=friction, surface=1)
     return Case(Scene(surfaces=(surface_a, surface_b), strands=(a, replace(b, free=np.ones(1, bool)))), frames=12)
