@@ -91,10 +91,10 @@ def note_drawn(
     root_depth = wp.max(-root_height[strand], ZERO)
     known = wp.abs(root_height[strand])
     outside = root_height[strand] > ZERO
-    in_stem = wp.bool(True)
+    in_stem = nodes.free[strand] == 0
     since = ZERO
     arc = ZERO
-    for i in range(root + 1, nodes.first_node[strand + 1]):
+    for i in range(root + 1 - nodes.free[strand], nodes.first_node[strand + 1]):
         step = wp.length(position[i] - position[i - 1])
         arc += step
         since += step
@@ -169,7 +169,7 @@ def find_inside(
             arc = ZERO
             sign = wp.float32(1.0)
             known = wp.bool(False)
-            for i in range(root + 1, nodes.first_node[strand + 1]):
+            for i in range(root + 1 - nodes.free[strand], nodes.first_node[strand + 1]):
                 x = position[i]
                 arc += wp.length(x - position[i - 1])
                 if nodes.clearance[i] >= ZERO and arc > stem:

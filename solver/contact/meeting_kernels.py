@@ -17,7 +17,7 @@ wp.set_module_options({"enable_backward": False})
 
 HALF = wp.constant(wp.float64(0.5))
 TWO = wp.constant(wp.float64(2.0))
-# A strand's first nodes, ghost and root, are prescribed and never in contact.
+# A strand's first nodes, ghost and root, are prescribed and never in contact; a free strand's ghost alone.
 PRESCRIBED = wp.constant(2)
 # A strand is at most this much longer than drawn.
 STRETCHED = wp.constant(wp.float64(1.05))
@@ -55,7 +55,8 @@ class ContactNodes:
     radius: wp.array(dtype=wp.float64)  # (node_count,) [m]
     clearance: wp.array(dtype=wp.float64)  # (node_count,) [m] least distance ever asked; negative: no contact
     friction: wp.array(dtype=wp.float64)  # (strand_count,)
-    surface: wp.array(dtype=wp.int32)  # (strand_count,) grown on, index into Scene.surfaces
+    surface: wp.array(dtype=wp.int32)  # (strand_count,) grown on, index into Scene.surfaces; -1: nothing
+    free: wp.array(dtype=wp.int32)  # (strand_count,) 1: nothing holds the root
     length: wp.array(dtype=wp.float64)  # (strand_count,) [m] from the root to the tip
 
 
@@ -167,7 +168,7 @@ def stem_inside(
     query = wp.mesh_query_point_sign_normal(bodies.mesh_end[body], to_float(root), float(reach))
     if not query.result:
         return -ONE
-    if query.sign >= 0.0 or not keeps_out:
+    if query.sign >= 0.0 or not keeps_out or nodes.free[strand] != 0:
         return ZERO
     index = bodies.first_triangle[body] + query.face
     triangle = get_triangle(bodies.triangles, bodies.points_end, index)

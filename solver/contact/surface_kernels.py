@@ -106,7 +106,7 @@ def find_planes(
             friction = bodies.friction[body]
             if friction < ZERO:
                 friction = nodes.friction[strand]
-            for i in range(root + 1, nodes.first_node[strand + 1]):
+            for i in range(root + 1 - nodes.free[strand], nodes.first_node[strand + 1]):
                 arc += wp.length(end[i] - end[i - 1])
                 if nodes.clearance[i] >= ZERO and arc > near.stem:
                     contact = node_contact(
@@ -156,7 +156,7 @@ def project_out(
             if near.meets:
                 deepest = wp.max(deepest, OF_STEM * near.stem)
                 arc = ZERO
-                for i in range(root + 1, nodes.first_node[strand + 1]):
+                for i in range(root + 1 - nodes.free[strand], nodes.first_node[strand + 1]):
                     arc += wp.length(end[i] - end[i - 1])
                     if nodes.clearance[i] >= ZERO and arc > near.stem:
                         contact = node_contact(

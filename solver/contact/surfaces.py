@@ -25,7 +25,7 @@ class SurfaceContact:
     """Contact of strand nodes with moving triangle surfaces, for one set of strands.
 
     A strand's nodes lie in a run of the node arrays, ghost and root first; these two are prescribed and never in
-    contact. In each substep:
+    contact, but a free strand's root. In each substep:
 
         contact.begin_substep(length)
         contact.examine(start, guess, flags)      planes near a first guess, all flags set before
@@ -52,24 +52,28 @@ class SurfaceContact:
         position: wp.array,
         radius: np.ndarray,
         friction: np.ndarray,
+        free: np.ndarray | None = None,
     ) -> None:
         """Looks at how the groom was drawn, at `model.start_time`.
 
         first_node: (strand_count + 1,).  position: (node_count,) vec3d [m], world, at the start time.
         radius: (node_count,) [m].  friction: (strand_count,) Coulomb coefficient.
+        free: (strand_count,) bool, strands whose root is a node like others, grown on nothing; None: none.
         """
         self._launcher = launcher = model.launcher
         self._kinematics = model.parts["kinematics"]
         self._exit_speed = model.settings.contact.exit_speed
         self.count, node_count = len(first_node) - 1, len(radius)
         device = launcher.device
+        free = np.zeros(self.count, dtype=bool) if free is None else free
         grown_on = [np.full(strands.strand_count, strands.roots.surface) for strands in model.scene.strands]
         nodes = ContactNodes()
         nodes.first_node = wp.array(first_node, dtype=wp.int32, device=device)
         nodes.radius = wp.array(radius, dtype=wp.float64, device=device)
         nodes.clearance = wp.full(node_count, UNBOUNDED, dtype=wp.float64, device=device)
         nodes.friction = wp.array(friction, dtype=wp.float64, device=device)
-        nodes.surface = wp.array(np.concatenate(grown_on), dtype=wp.int32, device=device)
+        nodes.surface = wp.array(np.where(free, -1, np.concatenate(grown_on)), dtype=wp.int32, device=device)
+        nodes.free = wp.array(free, dtype=wp.int32, device=device)
         nodes.length = wp.array(_lengths(position.numpy(), first_node), dtype=wp.float64, device=device)
         self._nodes = nodes
         self._work = NODE_WORK * max(1, node_count // self.count)

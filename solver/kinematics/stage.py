@@ -174,10 +174,11 @@ class KinematicsStage:
         """Notes the colliders whose bounds over the frame some strand's reach meets.
 
         A strand stays within its arc length of its root. Root and surface are sampled at equal times. Where a body
-        will carry either is not known beforehand: then everything is in reach.
+        will carry either, or a free strand go, is not known beforehand: then everything is in reach.
         """
         everywhere = np.array([[-np.inf] * 3, [np.inf] * 3])
-        roots = None if self.carries else self._root_boxes(times)
+        free = any(strands.free is not None and strands.free.any() for strands in self.model.scene.strands)
+        roots = None if self.carries or free else self._root_boxes(times)
         for collider in self.colliders.items:
             box = everywhere if collider.carried else self._frame_boxes[collider.index]
             margin = self.roots.radius + collider.surface.thickness + QUERY_ALLOWANCE

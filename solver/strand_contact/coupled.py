@@ -95,11 +95,11 @@ class StrandContact:
         reach = layout.radius + 0.5 * np.concatenate(thickness)[layout.node_strand]
         # Roots may be as near as they grow.
         tapered = reach.copy()
-        tapered[layout.first_node[:-1] + 1] = 0.0
+        tapered[layout.prescribed] = 0.0
         self._reach = wp.array(tapered, dtype=wp.float64, device=device)
         self._friction = wp.array(layout.friction[layout.node_strand], dtype=wp.float64, device=device)
         self._margin = MARGIN * 2.0 * float(reach.max())
-        self.pairs = EdgePairs(model.launcher, layout, reach)
+        self.pairs = EdgePairs(model.launcher, layout, reach, layout.prescribed)
         slots = layout.node_count * int(HELD_AN_EDGE)
         self._held, self._kept = (_allocate_held(slots, device) for _ in range(2))
         for name in ("other", "pressure", "traction"):
@@ -235,7 +235,7 @@ class StrandContact:
             kernels.linearise, [*system, scratch], [krylov, self._product, self._definite]
         )
         self._image = of_strands(
-            kernels.image, [active, rods.first_node, pairs.first, *acting, meetings], [krylov, self._product]
+            kernels.image, [active, rods, pairs.first, *acting, meetings], [krylov, self._product]
         )
         self._descend = of_strands(kernels.descend, [active, self._alpha, rods], [scratch, krylov, self._product])
         self._search = of_strands(kernels.search, [active, self._beta, rods, scratch], [krylov])

@@ -27,6 +27,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
     strands_own = strand_kernels(real)
     load, carry, aim = strands_own.load, strands_own.carry, strands_own.aim
     measure_edges, substitute = strands_own.newton.measure_edges, strands_own.newton.substitute
+    measure_spin = strands_own.measure_spin
     advance_strand = strands_own.newton.advance
     eliminate = elimination(real, coupled=True)
     release = contact_functions(real).release
@@ -69,10 +70,11 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         turn = rotation * wp.transpose(state.root_rotation[strand])
         load(state, scratch, base, count, base, 1, root)
         carry(scratch, count, base, 1, turn, before, -before)
-        # The clamp itself, exactly.
-        scratch.position[base] = vec3(rotation * rods.ghost[strand])
-        scratch.position[base + 1] = vec3()
-        scratch.director[base] = vec3(rotation * rods.clamp_director[strand])
+        if rods.free[strand] == 0:
+            # The clamp itself, exactly.
+            scratch.position[base] = vec3(rotation * rods.ghost[strand])
+            scratch.position[base + 1] = vec3()
+            scratch.director[base] = vec3(rotation * rods.clamp_director[strand])
         step = real(method.step)
         inertia = aim(
             rods, scratch, strand, base, 1, step, real(0.0), types.mat33(turn), vec3(before), vec3(-before), step
@@ -180,9 +182,10 @@ def coupled_kernels(real: type) -> SimpleNamespace:
             beta -= real(0.5)
         definite_out[item] = wp.where(definite, 1, 0)
         product = wp.float64(0.0)
+        free = rods.free[strand]
         if definite:
             substitute(rods, scratch, strand, base, 1)
-            for k in range(1, count - 1):
+            for k in range(1 - free, count - 1):
                 r = scratch.right[base + k]
                 z = scratch.solution[base + k]
                 krylov.direction[base + k] = z
@@ -190,7 +193,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
                 krylov.step[base + k] = vec4()
                 product += wp.float64(wp.dot(r, z))
         else:
-            for k in range(1, count - 1):
+            for k in range(1 - free, count - 1):
                 scratch.right[base + k] = vec4()
                 krylov.direction[base + k] = vec4()
                 krylov.own[base + k] = vec4()
@@ -219,7 +222,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
     def image(
         first: int,
         strands: wp.array(dtype=wp.int32),
-        first_node: wp.array(dtype=wp.int32),
+        rods: Rods,
         incident_first: wp.array(dtype=wp.int32),
         acting: wp.array(dtype=wp.int32),
         acting_count: wp.array(dtype=wp.int32),
@@ -230,10 +233,10 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         """The direction's image under the matrix of all strands, and their product, one entry an item."""
         item = first + wp.tid()
         strand = strands[item]
-        base = first_node[strand]
+        base = rods.first_node[strand]
         product = wp.float64(0.0)
         pull = wp.vec3d()  # on the node at which the edge begins
-        for edge in range(base + 1, first_node[strand + 1]):
+        for edge in range(base + 1, rods.first_node[strand + 1]):
             pull_next = wp.vec3d()
             for i in range(acting_count[edge]):
                 incident = acting[incident_first[edge] + i]
@@ -243,7 +246,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
                 answer = wp.where(side == 0, meetings.answer[pair], meetings.answer_back[pair])
                 pull += (wp.float64(1.0) - w) * answer
                 pull_next += w * answer
-            if edge > base + 1:
+            if edge > base + 1 - rods.free[strand]:
                 slot = edge - 1
                 image = krylov.own[slot] - vec4(real(0.0), real(pull[0]), real(pull[1]), real(pull[2]))
                 krylov.image[slot] = image
@@ -267,17 +270,18 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         base = rods.first_node[strand]
         count = rods.first_node[strand + 1] - base
         a = real(alpha[0])
+        free = rods.free[strand]
         y1 = vec4()
         y2 = vec4()
-        for k in range(1, count - 1):
+        for k in range(1 - free, count - 1):
             slot = base + k
             krylov.step[slot] = krylov.step[slot] + a * krylov.direction[slot]
             r = scratch.right[slot] - a * krylov.image[slot]
             scratch.right[slot] = r
             known = vec4()
-            if k >= 2:
+            if k >= 2 - free:
                 known = scratch.lower1[slot] * y1
-            if k >= 3:
+            if k >= 3 - free:
                 known += scratch.lower2[slot] * vec3(y2[1], y2[2], y2[3])
             y = forward(scratch.factor[slot], r - known)
             scratch.solution[slot] = y
@@ -285,7 +289,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
             y1 = y
         substitute(rods, scratch, strand, base, 1)
         product = wp.float64(0.0)
-        for k in range(1, count - 1):
+        for k in range(1 - free, count - 1):
             product += wp.float64(wp.dot(scratch.right[base + k], scratch.solution[base + k]))
         product_out[item] = product
 
@@ -302,7 +306,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         strand = strands[first + wp.tid()]
         base = rods.first_node[strand]
         b = real(beta[0])
-        for slot in range(base + 1, rods.first_node[strand + 1] - 1):
+        for slot in range(base + 1 - rods.free[strand], rods.first_node[strand + 1] - 1):
             krylov.direction[slot] = scratch.solution[slot] + b * krylov.direction[slot]
             krylov.own[slot] = scratch.right[slot] + b * krylov.own[slot]
 
@@ -335,6 +339,11 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         furthest = real(0.0)
         turn = real(0.0)
         moved = vec3()
+        if rods.free[strand] != 0:
+            z = krylov.step[base]
+            scratch.solution[base] = z
+            moved = vec3(z[1], z[2], z[3])
+            furthest = wp.dot(moved, moved)
         for k in range(1, count - 1):
             slot = base + k
             z = krylov.step[slot]
@@ -378,7 +387,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         before = state.root_position[strand]
         turn = roots.rotation[strand] * wp.transpose(state.root_rotation[strand])
         base = rods.first_node[strand]
-        for node in range(base + 2, rods.first_node[strand + 1]):
+        for node in range(base + 2 - rods.free[strand], rods.first_node[strand + 1]):
             carried = turn * (state.position[node] - before) + root
             x = carried + part[item] * (whole[node] - carried)
             position_out[node] = x
@@ -398,6 +407,9 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         """The strands' state at the substep's end."""
         strand = strands[first + wp.tid()]
         step = real(method.step)
+        if rods.free[strand] != 0:
+            base = rods.first_node[strand]
+            measure_spin(scratch, rods.first_node[strand + 1] - base, base, 1, step)
         for node in range(rods.first_node[strand], rods.first_node[strand + 1]):
             state_out.position[node] = position[node]
             v = (scratch.position[node] - scratch.start_of_stage[node]) / step
@@ -405,6 +417,8 @@ def coupled_kernels(real: type) -> SimpleNamespace:
             state_out.director[node] = wp.vec3d(scratch.director[node])
             state_out.twist[node] = wp.float64(scratch.twist[node])
             state_out.tension[node] = wp.float64(scratch.tension[node])
+            if rods.free[strand] != 0:
+                state_out.spin[node] = wp.float64(scratch.stage_spin[node])
         state_out.root_position[strand] = roots.position[strand]
         state_out.root_rotation[strand] = roots.rotation[strand]
 

@@ -3,6 +3,11 @@
 Unknowns of segment k (edge k, 1 <= k <= node_count - 2): the turn of its director and the displacement of its end
 node k + 1. Root and ghost nodes and the first director are prescribed. Node k + 1 sees edges k - 1 to k + 2, so
 the matrix is block pentadiagonal; it is assembled a block row at a time, factored at once and never stored.
+
+A free strand's root moves too, as the end of a segment 0 whose edge, the ghost's, only goes along: the joint at its
+root has no stiffness. Nothing holds such a strand against turning about itself where it is straight, so that the
+edges' own moments of inertia, which are left out otherwise, are what keeps the matrix definite: the limit of a
+strand free at both ends, whose end carries no twisting moment.
 """
 
 from functools import cache
@@ -34,6 +39,7 @@ def elimination(real: type, coupled: bool = False) -> wp.Function:
     Joint, joint = joints.Joint, joints.joint
     push, contact_stiffness = contact.push, contact.contact_stiffness
     tension = stretch_functions(real).tension
+    turned = joints.turned
     factorise, divide, divide_end = blocks.factorise, blocks.divide, blocks.divide_end
     subtract_square, subtract_square_end = blocks.subtract_square, blocks.subtract_square_end
     subtract_product, forward = blocks.subtract_product, blocks.forward
@@ -63,6 +69,7 @@ def elimination(real: type, coupled: bool = False) -> wp.Function:
         count = rods.first_node[strand + 1] - first
         ea = rods.stretch[strand]
         ea_beyond = rods.stretch_beyond[strand]
+        free = rods.free[strand]
         zero = real(0.0)
         one = real(1.0)
         identity = wp.identity(n=3, dtype=real)
@@ -106,11 +113,12 @@ def elimination(real: type, coupled: bool = False) -> wp.Function:
                 inverse_next = scratch.inverse_length[base + vertex * stride]
                 t_next = scratch.tangent[base + vertex * stride]
                 m_next = scratch.director[base + vertex * stride]
-                here = joint(
-                    t, inverse, t_next, inverse_next, m, m_next, scratch.twist[base + vertex * stride],
-                    rods.bend[first + vertex], rods.twist[first + vertex], rods.rest_curvature[first + vertex],
-                    rods.rest_twist[first + vertex], beta,
-                )  # fmt: skip
+                if vertex > free:
+                    here = joint(
+                        t, inverse, t_next, inverse_next, m, m_next, scratch.twist[base + vertex * stride],
+                        rods.bend[first + vertex], rods.twist[first + vertex], rods.rest_curvature[first + vertex],
+                        rods.rest_twist[first + vertex], beta,
+                    )  # fmt: skip
                 # Primal-dual stretch: the geometric part follows the dual tension, the force the true strain.
                 inverse_rest = rods.inverse_rest_length[first + vertex]
                 pull, slope = tension(length * inverse_rest - one, ea, ea_beyond)
@@ -126,8 +134,14 @@ def elimination(real: type, coupled: bool = False) -> wp.Function:
             block_after = half_block + here.ea_ea
             gradient_after = half_gradient + here.gradient_ea
             k = vertex - 2
-            if k >= 1:
+            if k >= 1 - free:
                 node = first + k + 1
+                if free != 0:
+                    turn_inertia = rods.turn_inertia[first + k] * inertia
+                    turn_block += turn_inertia
+                    if k > 0:
+                        gone = turned(scratch, base + k * stride, stride)
+                        turn_gradient += turn_inertia * (gone - scratch.turn_target[base + k * stride])
                 mass = rods.mass[node] * inertia
                 x_end = scratch.position[base + (k + 1) * stride]
                 offset = x_end - scratch.target[base + (k + 1) * stride]
@@ -163,14 +177,14 @@ def elimination(real: type, coupled: bool = False) -> wp.Function:
                 )  # fmt: skip
                 lower1 = mat44()
                 lower2 = mat43()
-                if k >= 2:
+                if k >= 2 - free:
                     lower1 = mat44(
                         tb_ta0, ty[0], ty[1], ty[2],
                         eb_ta0[0], b[0, 0], b[0, 1], b[0, 2],
                         eb_ta0[1], b[1, 0], b[1, 1], b[1, 2],
                         eb_ta0[2], b[2, 0], b[2, 1], b[2, 2],
                     )  # fmt: skip
-                if k >= 3:
+                if k >= 3 - free:
                     lower2 = mat43(
                         -ea_tb0[0], -ea_tb0[1], -ea_tb0[2],
                         -eb_ea0[0, 0], -eb_ea0[0, 1], -eb_ea0[0, 2],
@@ -180,7 +194,7 @@ def elimination(real: type, coupled: bool = False) -> wp.Function:
                     undivided2, lower2 = divide_end(lower2, factor2)
                     lower1 = subtract_product(lower1, lower2, undivided1_before)
                     diagonal = subtract_square_end(diagonal, lower2, undivided2)
-                if k >= 2:
+                if k >= 2 - free:
                     undivided1, lower1 = divide(lower1, factor1)
                     diagonal = subtract_square(diagonal, lower1, undivided1)
                     undivided1_before = undivided1

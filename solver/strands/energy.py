@@ -29,9 +29,10 @@ SOFTENING = 0.25
 
 @cache
 def joint_functions(real: type) -> SimpleNamespace:
-    """Device functions of a joint for `real`: `Joint`, `joint`, `joint_energy`, `signed_twist`."""
+    """Device functions of a joint for `real`: `Joint`, `joint`, `joint_energy`, `signed_twist`, `turned`."""
     types = rod_types(real)
     vec2, vec3, mat33, module = types.vec2, types.vec3, types.mat33, types.module
+    Scratch = types.Scratch
     structure = partial(wp.struct, module=module)
 
     @structure
@@ -234,10 +235,20 @@ def joint_functions(real: type) -> SimpleNamespace:
         turn = real(6.283185307179586)
         return angle + turn * wp.round((before - angle) * real(0.15915494309189535))
 
+    @wp.func(module=module)
+    def turned(scratch: Scratch, slot: int, stride: int):
+        """[rad] by which an edge has turned about itself since the piece's start."""
+        before = wp.normalize(scratch.start[slot + stride] - scratch.start[slot])
+        return signed_twist(
+            before, scratch.tangent[slot], scratch.start_director[slot], scratch.director[slot],
+            scratch.turn_target[slot],
+        )  # fmt: skip
+
     return SimpleNamespace(
         Joint=Joint,
         joint=joint,
         joint_energy=joint_energy,
         transport=transport,
         signed_twist=signed_twist,
+        turned=turned,
     )

@@ -28,7 +28,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
     Method, Scratch, Report = types.Method, types.Scratch, types.Report
     eliminate, substitute, advance = newton.eliminate, newton.substitute, newton.advance
     measure_edges = newton.measure_edges
-    joint_energy, signed_twist = joints.joint_energy, joints.signed_twist
+    joint_energy, signed_twist, turned = joints.joint_energy, joints.signed_twist, joints.turned
     stretch_energy = stretch_functions(real).stretch_energy
     contact = contact_functions(real)
     touching, release = contact.touching, contact.release
@@ -44,6 +44,15 @@ def strand_kernels(real: type) -> SimpleNamespace:
         return wp.quat_to_matrix(wp.quat_from_axis_angle(axis, part * angle))
 
     @wp.func(module=module)
+    def rotation_vector(turn: types.mat33):
+        """A rotation's axis times its angle [rad]."""
+        axis = real(0.5) * vec3(turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1])
+        sine = wp.length(axis)
+        if sine > real(0.0):
+            axis = (wp.atan2(sine, real(0.5) * (wp.trace(turn) - real(1.0))) / sine) * axis
+        return axis
+
+    @wp.func(module=module)
     def load(state: RodState, scratch: Scratch, first: int, count: int, base: int, stride: int, origin: wp.vec3d):
         """Start of the substep into `scratch`, positions about `origin`."""
         for k in range(count):
@@ -55,6 +64,9 @@ def strand_kernels(real: type) -> SimpleNamespace:
             scratch.director[slot] = vec3(state.director[first + k])
             scratch.twist[slot] = real(state.twist[first + k])
             scratch.tension[slot] = real(state.tension[first + k])
+            if state.spin.shape[0] > 0:
+                scratch.start_director[slot] = scratch.director[slot]
+                scratch.start_spin[slot] = real(state.spin[first + k])
 
     @wp.func(module=module)
     def load_guess(
@@ -150,7 +162,8 @@ def strand_kernels(real: type) -> SimpleNamespace:
         """Targets of an implicit stage, x = x0 + h v, v = v0 + h a; returns the inertia [1/s2].
 
         Damping acts on the velocity relative to the root's rigid motion over the piece (turn, centre, shift in
-        time `step`).  explicit_step: 0, or (1 - gamma) step, by which SDIRK2's first stage enters its second.
+        time `step`), a free strand's relative to its own.  explicit_step: 0, or (1 - gamma) step, by which SDIRK2's
+        first stage enters its second.
         """
         count = rods.first_node[strand + 1] - rods.first_node[strand]
         damping = rods.damping[strand]
@@ -164,7 +177,25 @@ def strand_kernels(real: type) -> SimpleNamespace:
             v = v + (explicit_step / h) * (scratch.stage_velocity[slot] - v)
             scratch.start_of_stage[slot] = x
             scratch.target[slot] = x + (v / h + damping * rigid) / inertia
+        if rods.free[strand] != 0:
+            rate = rotation_vector(turn) / step
+            for k in range(count - 1):
+                slot = base + k * stride
+                edge = wp.normalize(scratch.start[slot + stride] - scratch.start[slot])
+                angle = explicit_step * scratch.stage_spin[slot]
+                spin = scratch.start_spin[slot] + (explicit_step / h) * (
+                    scratch.stage_spin[slot] - scratch.start_spin[slot]
+                )
+                scratch.turn_of_stage[slot] = angle
+                scratch.turn_target[slot] = angle + (spin / h + damping * wp.dot(rate, edge)) / inertia
         return inertia
+
+    @wp.func(module=module)
+    def measure_spin(scratch: Scratch, count: int, base: int, stride: int, h: real):
+        """Spin of a free strand's edges at the end of a stage."""
+        for k in range(1, count - 1):
+            slot = base + k * stride
+            scratch.stage_spin[slot] = (turned(scratch, slot, stride) - scratch.turn_of_stage[slot]) / h
 
     @wp.func(module=module)
     def march(
@@ -222,7 +253,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
                         carry(scratch, count, base, stride, turn_rest, centre + gamma * shift, rest * shift)
                 if method.warm != 0 and pieces * method.stages == 1:
                     load_guess(result, scratch, first, count, base, stride, root)
-                if stage + 1 == pieces * method.stages:
+                if stage + 1 == pieces * method.stages and rods.free[strand] == 0:
                     # The clamp itself, exactly.
                     scratch.position[base] = vec3(rotation * rods.ghost[strand])
                     scratch.position[base + stride] = vec3()
@@ -240,6 +271,8 @@ def strand_kernels(real: type) -> SimpleNamespace:
                 converged = converged and within
                 if step > real(0.0):
                     last_stage = (stage + 1) % method.stages == 0
+                    if rods.free[strand] != 0:
+                        measure_spin(scratch, count, base, stride, h)
                     for k in range(count):
                         slot = base + k * stride
                         v = (scratch.position[slot] - scratch.start_of_stage[slot]) / h
@@ -247,6 +280,9 @@ def strand_kernels(real: type) -> SimpleNamespace:
                         if last_stage:
                             scratch.start[slot] = scratch.position[slot]
                             scratch.start_velocity[slot] = v
+                            if rods.free[strand] != 0:
+                                scratch.start_director[slot] = scratch.director[slot]
+                                scratch.start_spin[slot] = scratch.stage_spin[slot]
         return iterations, converged
 
     @wp.kernel(enable_backward=False, module=module)
@@ -305,6 +341,8 @@ def strand_kernels(real: type) -> SimpleNamespace:
                 state_out.director[node] = wp.vec3d(scratch.director[slot])
                 state_out.twist[node] = wp.float64(scratch.twist[slot])
                 state_out.tension[node] = wp.float64(scratch.tension[slot])
+                if rods.free[strand] != 0:
+                    state_out.spin[node] = wp.float64(scratch.stage_spin[slot])
                 if report_out.reaction.shape[0] > 0:
                     for i in range(PLANES_A_NODE):
                         plane = node * PLANES_A_NODE + i
@@ -360,6 +398,10 @@ def strand_kernels(real: type) -> SimpleNamespace:
         kinetic = wp.float64(0.0)
         elastic = wp.float64(0.0)
         potential = wp.float64(0.0)
+        if rods.free[strand] != 0:
+            v_root = state.velocity[begin + 1]
+            kinetic = wp.float64(0.5) * wp.float64(rods.mass[begin + 1]) * wp.dot(v_root, v_root)
+            potential = -wp.dot(wp.vec3d(rods.force[begin + 1]), root)
         x = vec3()
         t = -wp.normalize(vec3(state.position[begin] - root))
         for node in range(begin + 2, end):
@@ -373,13 +415,14 @@ def strand_kernels(real: type) -> SimpleNamespace:
             elastic += wp.float64(
                 rest * stretch_energy(stretched, rods.stretch[strand], rods.stretch_beyond[strand])
             )
-            elastic += wp.float64(
-                joint_energy(
-                    t, t_next, vec3(state.director[node - 2]), vec3(state.director[node - 1]),
-                    real(state.twist[node - 1]), rods.bend[node - 1], rods.twist[node - 1],
-                    rods.rest_curvature[node - 1], rods.rest_twist[node - 1],
-                )
-            )  # fmt: skip
+            if node - 1 > begin + rods.free[strand]:
+                elastic += wp.float64(
+                    joint_energy(
+                        t, t_next, vec3(state.director[node - 2]), vec3(state.director[node - 1]),
+                        real(state.twist[node - 1]), rods.bend[node - 1], rods.twist[node - 1],
+                        rods.rest_curvature[node - 1], rods.rest_twist[node - 1],
+                    )
+                )  # fmt: skip
             v = state.velocity[node]
             kinetic += wp.float64(0.5) * wp.float64(rods.mass[node]) * wp.dot(v, v)
             potential -= wp.dot(wp.vec3d(rods.force[node]), state.position[node])
@@ -400,4 +443,5 @@ def strand_kernels(real: type) -> SimpleNamespace:
         load=load,
         carry=carry,
         aim=aim,
+        measure_spin=measure_spin,
     )

@@ -25,10 +25,10 @@ class Layout:
     position: (node_count, 3) float64 [m], rest space.  edge_length: (node_count,) [m], as drawn; 1 where unused.
     voronoi: (node_count,) [m] of the vertex at the node; 1 at ghosts and tips, which have none.
     mass: (node_count,) [kg].  radius: (node_count,) [m].
-    stretch [N], bend, twist [N m2], damping [1/s], friction: (strand_count,).
+    density [kg/m3], stretch [N], bend, twist [N m2], damping [1/s], friction: (strand_count,).
     force: (node_count, 3) [N] weight and dead loads, world.
     rest_rotation: (strand_count, 3, 3), rest space to world where the artist drew.
-    sagfree: (strand_count,) bool.
+    sagfree, free: (strand_count,) bool; free strands are as drawn without force.
     """
 
     names: tuple[str, ...]
@@ -42,6 +42,7 @@ class Layout:
     voronoi: np.ndarray
     mass: np.ndarray
     radius: np.ndarray
+    density: np.ndarray
     stretch: np.ndarray
     bend: np.ndarray
     twist: np.ndarray
@@ -50,6 +51,7 @@ class Layout:
     force: np.ndarray
     rest_rotation: np.ndarray
     sagfree: np.ndarray
+    free: np.ndarray
 
     @property
     def mean_segment(self) -> np.ndarray:
@@ -81,6 +83,25 @@ class Layout:
     def rest_length(self, tension: np.ndarray, stretch: np.ndarray) -> np.ndarray:
         """(node_count,) [m] of edges that have the drawn length under `tension` [N]; stretch: strands' EA [N]."""
         return self.edge_length / (1.0 + tension / stretch[self.node_strand])
+
+    @property
+    def prescribed(self) -> np.ndarray:
+        """(node_count,) bool: nodes that no force moves, ghosts and roots that something holds."""
+        ghosts, prescribed = self.first_node[:-1], np.zeros(self.node_count, dtype=bool)
+        prescribed[ghosts] = True
+        prescribed[ghosts + 1] = ~self.free
+        return prescribed
+
+    @property
+    def turn_inertia(self) -> np.ndarray:
+        """(node_count,) [kg m2] of edges about themselves, m r^2 / 2; a ghost's as the first edge's."""
+        radius = self.radius.copy()
+        radius[:-1] = 0.5 * (radius[:-1] + radius[1:])
+        density = self.density[self.node_strand]
+        inertia = 0.5 * np.pi * density * radius**4 * self.edge_length
+        ghosts = self.first_node[:-1]
+        inertia[ghosts] = inertia[ghosts + 1]
+        return inertia
 
     @property
     def strand_count(self) -> int:
@@ -146,6 +167,8 @@ def build_layout(scene: Scene) -> Layout:
     loads = [np.zeros_like(s.points) if s.loads is None else s.loads for s in scene.strands]
     np.add.at(force, point_node, np.concatenate(loads))
     counts = [s.strand_count for s in scene.strands]
+    free = [np.zeros(s.strand_count, dtype=bool) if s.free is None else s.free for s in scene.strands]
+    free = np.concatenate(free).astype(bool)
     return Layout(
         names=tuple(s.name for s in scene.strands),
         prim_strands=prim_strands,
@@ -158,6 +181,7 @@ def build_layout(scene: Scene) -> Layout:
         voronoi=voronoi,
         mass=mass,
         radius=node_radius,
+        density=per_strand("density"),
         stretch=per_strand("stretch_stiffness"),
         bend=per_strand("bend_stiffness"),
         twist=per_strand("twist_stiffness"),
@@ -165,7 +189,8 @@ def build_layout(scene: Scene) -> Layout:
         friction=per_strand("friction"),
         force=force,
         rest_rotation=np.repeat([_rotation(s.rest_transform) for s in scene.strands], counts, axis=0),
-        sagfree=np.repeat([s.rest_shape == "sagfree" for s in scene.strands], counts),
+        sagfree=np.repeat([s.rest_shape == "sagfree" for s in scene.strands], counts) & ~free,
+        free=free,
     )
 
 

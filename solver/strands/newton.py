@@ -48,6 +48,7 @@ def newton_functions(real: type) -> SimpleNamespace:
     def substitute(rods: Rods, scratch: Scratch, strand: int, base: int, stride: int):
         """Back substitution. Returns the largest displacement [m] and the largest turn of an edge [rad]."""
         count = rods.first_node[strand + 1] - rods.first_node[strand]
+        free = rods.free[strand]
         furthest = real(0.0)
         turn = real(0.0)
         z1 = vec4()  # of segment k + 1
@@ -55,7 +56,7 @@ def newton_functions(real: type) -> SimpleNamespace:
         l2 = mat43()
         l2_after = mat43()
         z2 = vec4()
-        for i in range(count - 2):
+        for i in range(count - 2 + free):
             k = count - 2 - i
             slot = base + k * stride
             end = wp.transpose(l2_after) * z2
@@ -63,7 +64,8 @@ def newton_functions(real: type) -> SimpleNamespace:
             z = backward(scratch.factor[slot], scratch.solution[slot], known)
             scratch.solution[slot] = z
             furthest = wp.max(furthest, z[1] * z[1] + z[2] * z[2] + z[3] * z[3])
-            turn = wp.max(turn, z[0] * z[0])
+            if k > 0:
+                turn = wp.max(turn, z[0] * z[0])
             # Edge k + 1 turns by the part of its end nodes' difference that is across it.
             if i > 0:
                 d = vec3(z1[1] - z[1], z1[2] - z[2], z1[3] - z[3])
@@ -74,9 +76,10 @@ def newton_functions(real: type) -> SimpleNamespace:
             l2 = scratch.lower2[slot]
             z2 = z1
             z1 = z
-        d = vec3(z1[1], z1[2], z1[3])
-        across = scratch.inverse_length[base + stride] * wp.cross(scratch.tangent[base + stride], d)
-        turn = wp.max(turn, wp.dot(across, across))
+        if free == 0:
+            d = vec3(z1[1], z1[2], z1[3])
+            across = scratch.inverse_length[base + stride] * wp.cross(scratch.tangent[base + stride], d)
+            turn = wp.max(turn, wp.dot(across, across))
         return wp.sqrt(furthest), wp.sqrt(turn)
 
     @wp.func(module=module)
@@ -108,6 +111,19 @@ def newton_functions(real: type) -> SimpleNamespace:
         m_before = scratch.director[base]
         moved = vec3()
         under = wp.bool(False)
+        if rods.free[strand] != 0:
+            # The ghost goes along with the root, and its edge does not turn.
+            z = scratch.solution[base]
+            moved = vec3(z[1], z[2], z[3])
+            x_old = x_new
+            x_new = x_old + fraction * moved
+            scratch.position[base] = scratch.position[base] + fraction * moved
+            scratch.position[base + stride] = x_new
+            if constrained:
+                under = judge(
+                    planes, scratch, first + 1, base + stride, x_old, x_new, origin, ahead,
+                    contact_stiffness(rods, strand, inertia), rods.slip[strand],
+                )  # fmt: skip
         for k in range(1, count - 1):
             slot = base + k * stride
             z = scratch.solution[slot]

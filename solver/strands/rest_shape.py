@@ -118,6 +118,7 @@ class _Fit:
         rods.bend, rods.twist = stiffness
         rods.rest_curvature, rods.rest_twist = curvature, twist
         rods.segment = self._hold(layout.mean_segment)
+        rods.free = wp.zeros(layout.strand_count, dtype=wp.int32, device=self.device)
         chunks = count_chunks(len(strands), self.launcher)
         scratch = allocate_scratch(wp.float64, layout, chunks, self.device)
         stable = wp.zeros(len(strands), dtype=wp.int32, device=self.device)

@@ -46,10 +46,11 @@ def allocate_coupled_scratch(real: type, node_count: int, device: wp.Device) -> 
 def _allocate(real: type, size: int, device: wp.Device) -> Any:
     types = rod_types(real)
     scratch = types.Scratch()
-    vectors = ("start", "start_velocity", "stage_velocity", "start_of_stage", "target")
+    vectors = ("start", "start_velocity", "stage_velocity", "start_of_stage", "target", "start_director")
+    turns = ("start_spin", "stage_spin", "turn_of_stage", "turn_target")
     fields = {
         types.vec3: (*vectors, "position", "director", "tangent"),
-        real: ("length", "inverse_length", "twist", "tension"),
+        real: ("length", "inverse_length", "twist", "tension", *turns),
         types.mat44: ("factor", "lower1"),
         types.mat43: ("lower2",),
         types.vec4: ("solution",),

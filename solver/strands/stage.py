@@ -9,9 +9,10 @@ import warp as wp
 
 from plait.solver.contact.planes import PLANES_A_NODE, allocate_planes
 from plait.solver.contact.surfaces import SurfaceContact
-from plait.solver.diagnostics import Diverged
+from plait.solver.diagnostics import Diverged, Refused
 from plait.solver.model import Interval, Model
 from plait.solver.state import State
+from plait.solver.strands.free import FreeStrands
 from plait.solver.strands.kernels import strand_kernels
 from plait.solver.strands.layout import Layout, build_layout
 from plait.solver.strands.rest_shape import fit_rest_shapes
@@ -50,7 +51,7 @@ class StrandsStage:
     """All strands of a scene, one direct solve per strand and Newton iteration.
 
     State arrays (see `RodState`): strands/position, velocity, director, twist, tension, root_position,
-    root_rotation.
+    root_rotation; with free strands spin, and those of `FreeStrands`.
 
     warnings: lines for the user about what could not be taken as given.
     """
@@ -108,6 +109,9 @@ class StrandsStage:
         rods.slip = hold(SLIP * layout.radius[root_nodes])
         rods.ghost = hold(layout.position[ghosts] - layout.position[root_nodes], wp.vec3d)
         rods.clamp_director = hold(shape.director[ghosts], wp.vec3d)
+        rods.free = hold(layout.free, wp.int32)
+        some_free = layout.free.any()
+        rods.turn_inertia = hold(layout.turn_inertia if some_free else np.zeros(0))
         self.rods = rods
 
         root_position = self._kinematics.root_position.numpy()
@@ -122,8 +126,12 @@ class StrandsStage:
         held.tension = hold(shape.tension, wp.float64)
         held.root_position = hold(root_position, wp.vec3d)
         held.root_rotation = hold(root_rotation, wp.mat33d)
+        held.spin = wp.zeros(layout.node_count if some_free else 0, dtype=wp.float64, device=device)
         self._held = held
-        for name in STATE_ARRAYS:
+        self._names = (*STATE_ARRAYS, "spin") if some_free else STATE_ARRAYS
+        gained = 0.5 if self._model.settings.strands.integrator == "sdirk2" else 1.0
+        self._free = FreeStrands(layout, launcher, state, gained) if some_free else None
+        for name in self._names:
             state.arrays[f"strands/{name}"] = getattr(held, name)
 
     def _note_stiffening(self, stiffening: np.ndarray) -> None:
@@ -183,6 +191,7 @@ class StrandsStage:
             position=self._held.position,
             radius=self.layout.radius,
             friction=self.layout.friction,
+            free=self.layout.free,
         )
 
     def _make_meetings(self, state: State) -> StrandContact | None:
@@ -199,15 +208,13 @@ class StrandsStage:
             return None
         from plait.solver.strand_contact.paper import PaperStrandContact
 
-        ghosts = self.layout.first_node[:-1]
-        prescribed = np.zeros(self.layout.node_count, dtype=bool)
-        prescribed[ghosts] = prescribed[ghosts + 1] = True
-        return PaperStrandContact(self._model, state, self.layout, prescribed)
+        return PaperStrandContact(self._model, state, self.layout, self.layout.prescribed)
 
     def _allocate_result(self) -> Any:
         """Room for a substep's result while it is tried."""
         result = self._types.RodState()
-        for name in STATE_ARRAYS:
+        result.spin = self._held.spin
+        for name in self._names:
             setattr(result, name, wp.zeros_like(getattr(self._held, name)))
         return result
 
@@ -232,6 +239,8 @@ class StrandsStage:
         """
         self._method.step = substep.length
         self._method.warm = 0
+        if self._free is not None:
+            self._free.lead(self._held, self._kinematics, substep.length)
         stands, meetings = True, self._meetings
         touching = self._contact is not None and self._contact.active
         if not touching and meetings is None and self._impulses is None:
@@ -247,6 +256,8 @@ class StrandsStage:
                 self._apply_impulses(substep, touching)
             if stands:
                 self._commit(substep, touching)
+        if stands and self._free is not None:
+            self._free.commit(self._held.velocity, substep.length)
         self._count(stands)
         return stands
 
@@ -282,7 +293,7 @@ class StrandsStage:
                 self._reaction.give(self._contact, self._result.position, self._report.reaction, substep.length)
         if self._meetings is not None:
             self._meetings.commit()
-        for name in STATE_ARRAYS:
+        for name in self._names:
             wp.copy(getattr(self._held, name), getattr(self._result, name))
 
     def retract(self, state: State, substep: Interval) -> None:
@@ -355,6 +366,9 @@ class StrandsStage:
 
     def _roots(self) -> Any:
         roots = self._types.Roots()
+        if self._free is not None:
+            roots.position, roots.rotation = self._free.position, self._free.rotation
+            return roots
         roots.position = self._kinematics.root_position
         roots.rotation = self._kinematics.root_rotation
         return roots
@@ -380,7 +394,11 @@ class StrandsStage:
 
         tolerance: as `StrandSettings.tolerance`. Returns the Newton iterations of each strand, (strand_count,)
         int32, negative where they did not converge; such a strand is left where the iteration ended.
+        Raises `Refused` for free strands, which nothing keeps anywhere.
         """
+        if self._free is not None:
+            where = self.layout.where(int(np.argmax(self.layout.free)))
+            raise Refused(f"{where}: it is free; what nothing holds has no static equilibrium")
         method = self._make_method()
         method.step, method.stages, method.max_pieces = 0.0, 1, 1
         method.tolerance, method.max_iterations = self._reachable(tolerance), max_iterations

@@ -56,6 +56,8 @@ def rod_types(real: type) -> SimpleNamespace:
         slip: wp.array(dtype=real)  # (strand_count,) [m] least way at which friction is full
         ghost: wp.array(dtype=wp.vec3d)  # (strand_count,) [m] ghost node from the root, in the root's rest frame
         clamp_director: wp.array(dtype=wp.vec3d)  # (strand_count,) first edge's director, same frame
+        free: wp.array(dtype=wp.int32)  # (strand_count,) 1: nothing holds the root
+        turn_inertia: wp.array(dtype=real)  # (node_count,) [kg m2] of edge k about itself; empty: none is free
 
     @structure
     class RodState:
@@ -68,10 +70,11 @@ def rod_types(real: type) -> SimpleNamespace:
         tension: wp.array(dtype=wp.float64)  # (node_count,) [N] of edge k, the stretch's dual variable
         root_position: wp.array(dtype=wp.vec3d)  # (strand_count,) [m]
         root_rotation: wp.array(dtype=wp.mat33d)  # (strand_count,) rest space to world
+        spin: wp.array(dtype=wp.float64)  # (node_count,) [rad/s] of edge k about itself; empty: no strand is free
 
     @structure
     class Roots:
-        """Where the roots are at the end of the substep."""
+        """Where the roots are at the end of the substep; of a free strand, its mass centre were it rigid."""
 
         position: wp.array(dtype=wp.vec3d)  # (strand_count,) [m]
         rotation: wp.array(dtype=wp.mat33d)  # (strand_count,)
@@ -113,6 +116,12 @@ def rod_types(real: type) -> SimpleNamespace:
         lower1: wp.array(dtype=mat44)  # block towards the segment before
         lower2: wp.array(dtype=mat43)  # block towards the one before that, whose turn takes no part
         solution: wp.array(dtype=vec4)  # (angle, displacement) of segment k: its director, its end node
+        # Of free strands: turns of edges about themselves since the piece's start, as positions above.
+        start_director: wp.array(dtype=vec3)
+        start_spin: wp.array(dtype=real)  # [rad/s]
+        stage_spin: wp.array(dtype=real)
+        turn_of_stage: wp.array(dtype=real)  # [rad]
+        turn_target: wp.array(dtype=real)
         # Of strands that meet others (`strand_contact`), else empty; entry k as above.
         right: wp.array(dtype=vec4)  # the right-hand side of segment k, then what is left of it
         meeting_block: wp.array(dtype=mat33)  # [N/m] stiffness that contacts give node k
