@@ -10,8 +10,9 @@ import numpy as np
 import warp as wp
 
 from plait.solver.contact.planes import ContactPlanes
-from plait.solver.model import Model
+from plait.solver.model import Interval, Model
 from plait.solver.state import State
+from plait.solver.strand_contact.attachments import Attachments
 from plait.solver.strand_contact.coupled_kernels import coupled_kernels
 from plait.solver.strand_contact.edge_pairs import EdgePairs
 from plait.solver.strand_contact.meeting_kernels import (
@@ -37,25 +38,24 @@ CALM = 0.003
 SETTLED = 0.03
 # Passes with full steps; what then still goes to and fro is damped.
 UNRELAXED, RELAXED = 5, 0.6
-# What passes that are at an end may leave: how far a node still moves, of a segment, and how many times as near
-# contacts are as they otherwise may.
-UNSETTLED, DEEPEST = 0.3, 6.0
+# After so many passes contacts may be so many times as near as they otherwise may.
+ENOUGH, DEEPEST = 6, 5.0
 # Strands that would go further through each other than this part of a segment take shorter steps at once.
 FURTHEST = 1.0
 # As a last resort strands go half, a quarter, ... of their way, so often, then none of it.
 HALVINGS = 6
 # Pairs are found this much further apart than they interact, over the distance.
-MARGIN = 0.5
+MARGIN, WIDER = 1.0, 4.0
 # Cost of an item in units of `Launcher.launch`.
 PAIR_WORK, LOCATE_WORK, NODE_WORK = 4, 16, 8
 MEETING_ARRAYS = {
+    "apart": wp.vec3d,
     "place": wp.vec2d,
     "normal": wp.vec3d,
     "target": wp.float64,
     "gap": wp.float64,
     "slack": wp.float64,
     "crossing": wp.int32,
-    "turned": wp.int32,
     "stiffness": wp.float64,
     "pressure": wp.float64,
     "traction": wp.vec3d,
@@ -78,7 +78,7 @@ class Tally:
 
 
 class StrandContact:
-    """Strands that come near each other in a substep are solved again, all at once.
+    """Strands that come near each other in a substep, or are attached, are solved again, all at once.
 
     State arrays, HELD_AN_EDGE slots an edge: strand_contact/other, pressure, traction of contacts that last.
     """
@@ -86,6 +86,7 @@ class StrandContact:
     def __init__(self, model: Model, state: State, layout: Layout, rods: Any, real: type) -> None:
         self._launcher, self._layout, self._rods, self._real = model.launcher, layout, rods, real
         self._settings, device = model.settings.strand_contact, model.launcher.device
+        self._in_contact = self._settings.method == "implicit" and layout.strand_count > 1
         thickness = [
             np.full(last - first, strands.thickness)
             for strands, first, last in zip(
@@ -105,25 +106,41 @@ class StrandContact:
         for name in ("other", "pressure", "traction"):
             state.arrays[f"strand_contact/{name}"] = getattr(self._held, name)
         self._meets = False
-        self._room = 0
+        self._room = -1
+        self.ties = Attachments(model, state, layout, real) if model.scene.attachments else None
         self.tally = Tally()
 
     def begin_frame(self) -> None:
         self.tally = Tally()
 
+    @property
+    def near(self) -> np.ndarray:
+        """(strand_count,) bool, strands that are near others or attached."""
+        return self.pairs.near if self.ties is None else self.pairs.near | self.ties.near
+
+    @property
+    def attached(self) -> np.ndarray | bool:
+        """(strand_count,) bool, strands that something holds besides their roots."""
+        return False if self.ties is None else self.ties.near
+
+    def begin_substep(self, substep: Interval, position: wp.array) -> None:
+        """Notes what is attached. position: (node_count,) vec3d [m] at the start."""
+        if self.ties is not None:
+            self.ties.begin_substep(substep, position)
+
     def find(self, start: wp.array, end: wp.array) -> bool:
-        """Whether strands come near each other between `start` and `end`, (node_count,) vec3d [m]."""
-        meets = self.pairs.find(start, end, self._margin)
+        """Whether strands are attached, or near others between `start` and `end`, (node_count,) vec3d [m]."""
+        meets = self._in_contact and self.pairs.find(start, end, self._margin)
         if not meets and self._meets:
             self._held.other.fill_(-1)
         self._meets = meets
-        return meets
+        return meets or (self.ties is not None and self.ties.count > 0)
 
     def begin(self, method: Any, held: Any, result: Any, roots: Any) -> None:
         """From the substep's start, `held`, for the strands found near each other on their way to `result`."""
         self._allocate()
         self._method, self._state, self._roots = method, held, roots
-        self._start, self._expected = held.position, result.position
+        self._start, self._expected, self._room_to_stray = held.position, result.position, self._margin
         self._strands = np.zeros(0, dtype=np.int32)
         self._take_pairs(self._held)
 
@@ -133,13 +150,14 @@ class StrandContact:
         After `begin`; again from where it ended, with other planes, as often as need be. As a last resort what is
         still going through something is held back, and all stands.
         """
+        self._surfaces = planes, constrained
         self._prepare(planes, constrained)
         stands = False
         for done in range(self._settings.passes + 1):
-            if done and self._largest(self._stray) > 0.5 * self._margin:
+            if done and self._largest(self._stray) > 0.5 * self._room_to_stray:
                 self._find_again(planes, constrained)
-            self._locate()
-            if done and self._settled():
+            self._locate_all()
+            if done and (self._settled() or (done >= ENOUGH and self._harmless())):
                 stands = True
                 break
             if done == self._settings.passes or (done == 1 and not last_resort and self._too_fast()):
@@ -147,8 +165,9 @@ class StrandContact:
             self._relaxation.fill_(1.0 if done < UNRELAXED else RELAXED)
             self._newton()
             self._hold()
+            if self.ties is not None:
+                self.ties.hold()
             self.tally.passes += 1
-        stands = stands or (done > 1 and self._harmless())
         inputs = [self._active, self._method, self._rods, self._roots, self._scratch, self._position]
         if not stands and last_resort:
             self._hold_back(planes, constrained)
@@ -156,19 +175,35 @@ class StrandContact:
         self._launch(self._kernels.finish, inputs, [result])
         return stands
 
+    @property
+    def solved(self) -> np.ndarray:
+        """(strand_count,) bool: the strands that `solve` moves."""
+        solved = np.zeros(self._layout.strand_count, dtype=bool)
+        solved[self._strands] = True
+        return solved
+
+    def crossed(self, position: wp.array) -> bool:
+        """Whether strands go through each other between the substep's start and `position`."""
+        wp.copy(self._position, position)
+        self._find_again(*self._surfaces)
+        self._locate()
+        return bool(self._meetings.crossing.numpy()[: self.pairs.count].any())
+
     def commit(self) -> None:
         """The substep stands: its contacts are those to go on from."""
         if self._meets:
             self._hold_all()
             self._remember(self._held)
             self.tally.contacts = int(np.count_nonzero(self._meetings.pressure.numpy()[: self.pairs.count]))
+        if self.ties is not None:
+            self.ties.commit()
 
     # -- pairs ---------------------------------------------------------------------------------------------
 
     def _take_pairs(self, forces: Held) -> None:
         """The pairs last found, with the forces they had; begins strands that are new among them."""
         launcher = self._launcher
-        strands = np.flatnonzero(self.pairs.near).astype(np.int32)
+        strands = np.flatnonzero(self.near).astype(np.int32)
         new = np.setdiff1d(strands, self._strands, assume_unique=True)
         device = launcher.device
         work = NODE_WORK * max(1, self._layout.node_count // self._layout.strand_count)
@@ -179,7 +214,8 @@ class StrandContact:
         self._count, self._work = len(self._strands), work
         self._active = wp.array(self._strands, dtype=wp.int32, device=device)
         self._hold_pairs()
-        launcher.launch(recall, self.pairs.count, [forces], [self._meetings], work_per_item=PAIR_WORK)
+        inputs = [self._start, forces]
+        launcher.launch(recall, self.pairs.count, inputs, [self._meetings], work_per_item=PAIR_WORK)
 
     def _find_again(self, planes: ContactPlanes, constrained: bool) -> None:
         """Strands have left the places for which pairs were found."""
@@ -192,7 +228,11 @@ class StrandContact:
             places[nodes] = self._expected.numpy()[nodes]
             self._sought.assign(places)
         self._expected = self._sought
-        self.pairs.find(self._start, self._expected, self._margin)
+        # The further they stray, the further they may in the passes to come.
+        widest = WIDER * self._margin
+        self._room_to_stray = float(np.clip(4.0 * self._largest(self._stray), self._margin, widest))
+        if self._in_contact:
+            self._meets = self.pairs.find(self._start, self._expected, self._room_to_stray) or self._meets
         self._take_pairs(self._kept)
         self._prepare(planes, constrained)
 
@@ -244,11 +284,21 @@ class StrandContact:
             [*system, self._relaxation, krylov, scratch, self._expected],
             [self._position, self._furthest, self._stray],
         )
+        if self.ties is not None:
+            self.ties.prepare(self._position, self._stiffness, scratch, krylov, meetings, pairs.count)
+
+    def _locate_all(self) -> None:
+        """Where pairs and ties are now."""
+        self._locate()
+        if self.ties is not None:
+            self.ties.measure()
 
     def _newton(self) -> None:
         """One Newton step of all strands together."""
         self._press()
         self._gather()
+        if self.ties is not None:
+            self.ties.gather()
         self._linearise()
         pairs = np.flatnonzero(self._meetings.acts.numpy()[: self.pairs.count]).astype(np.int32)
         answer = self._launcher.prepare(
@@ -265,7 +315,10 @@ class StrandContact:
                 break
             answer()
             self._image()
-            self._alpha.fill_(left / self._products())
+            curvature = self._products()
+            if self.ties is not None:
+                curvature += self.ties.image()
+            self._alpha.fill_(left / curvature)
             self._descend()
             before, left = left, self._products()
             self._beta.fill_(left / before)
@@ -276,7 +329,7 @@ class StrandContact:
     def _settled(self) -> bool:
         """Whether the last pass has changed little, and nothing is out of place."""
         count, meetings = self.pairs.count, self._meetings
-        if meetings.crossing.numpy()[:count].any():
+        if meetings.crossing.numpy()[:count].any() or not self._tied(at_an_end=False):
             return False
         gap, allowed = meetings.gap.numpy()[:count], meetings.slack.numpy()[:count]
         under = (gap < -allowed) | ((gap > allowed) & (meetings.pressure.numpy()[:count] > 0.0))
@@ -284,10 +337,15 @@ class StrandContact:
 
     def _harmless(self) -> bool:
         """Whether what the last pass left out of place, it left outside of each other."""
+        if not self._tied(at_an_end=True):
+            return False
         count, meetings = self.pairs.count, self._meetings
-        if meetings.crossing.numpy()[:count].any() or self._largest(self._furthest) > UNSETTLED:
+        if meetings.crossing.numpy()[:count].any() or self._largest(self._furthest) > SETTLED:
             return False
         return bool((meetings.gap.numpy()[:count] >= -DEEPEST * meetings.slack.numpy()[:count]).all())
+
+    def _tied(self, at_an_end: bool) -> bool:
+        return self.ties is None or self.ties.holds(at_an_end)
 
     def _hold_back(self, planes: ContactPlanes, constrained: bool) -> None:
         """Strands that still go through others go less far, in the end no further than their roots carry them."""
@@ -305,7 +363,7 @@ class StrandContact:
             self.tally.held_back += len(strands)
             self._hold_part(part, whole)
             self._find_again(planes, constrained)
-            self._locate()
+            self._locate_all()
 
     def _hold_part(self, part: np.ndarray, whole: wp.array) -> None:
         parts = wp.array(part[self._strands], dtype=wp.float64, device=self._launcher.device)

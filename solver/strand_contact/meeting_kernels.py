@@ -38,13 +38,13 @@ class Meetings:
     """Pairs of edges that may meet in a substep, (pair_count,) each; edge k joins nodes k and k + 1."""
 
     edges: wp.array(dtype=wp.vec2i)  # a, b
+    apart: wp.array(dtype=wp.vec3d)  # [m] from b to a at the start
     place: wp.array(dtype=wp.vec2d)  # where on a and on b, 0 to 1
     normal: wp.array(dtype=wp.vec3d)  # from b to a
     target: wp.array(dtype=wp.float64)  # [m] distance to keep
     gap: wp.array(dtype=wp.float64)  # [m] distance beyond that
     slack: wp.array(dtype=wp.float64)  # [m] by which a gap may be wrong
     crossing: wp.array(dtype=wp.int32)  # 1: the edges have gone through each other
-    turned: wp.array(dtype=wp.int32)  # 1: they had when their geometry was taken
     stiffness: wp.array(dtype=wp.float64)  # [N/m] k; 0 where the pair takes no part
     pressure: wp.array(dtype=wp.float64)  # [N] held
     traction: wp.array(dtype=wp.vec3d)  # [N] held
@@ -70,10 +70,14 @@ def along(x: wp.array(dtype=wp.vec3d), edge: int, place: wp.float64):
 
 
 @wp.kernel
-def recall(first: int, held: Held, meetings: Meetings):
-    """Takes up the forces that the pair had before; one pair an item."""
+def recall(first: int, start: wp.array(dtype=wp.vec3d), held: Held, meetings: Meetings):
+    """How a pair begins, and the forces that it had before; one pair an item."""
     item = first + wp.tid()
     edges = meetings.edges[item]
+    a = edges[0]
+    b = edges[1]
+    place = closest_on_edges(start[a], start[a + 1], start[b], start[b + 1])
+    meetings.apart[item] = along(start, a, place[0]) - along(start, b, place[1])
     pressure = ZERO
     traction = wp.vec3d()
     for i in range(HELD_AN_EDGE):
@@ -83,7 +87,6 @@ def recall(first: int, held: Held, meetings: Meetings):
             traction = held.traction[slot]
     meetings.pressure[item] = pressure
     meetings.traction[item] = traction
-    meetings.turned[item] = 0
 
 
 @wp.kernel
@@ -134,13 +137,22 @@ def locate(
     a1 = start[a + 1]
     b0 = start[b]
     b1 = start[b + 1]
-    drawn = closest_on_edges(a0, a1, b0, b1)
-    apart = along(start, a, drawn[0]) - along(start, b, drawn[1])
-    before = wp.length(apart)
     c0 = x[a]
     c1 = x[a + 1]
     d0 = x[b]
     d1 = x[b + 1]
+    lower = wp.min(wp.min(a0, a1), wp.min(c0, c1)) - wp.max(wp.max(b0, b1), wp.max(d0, d1))
+    upper = wp.min(wp.min(b0, b1), wp.min(d0, d1)) - wp.max(wp.max(a0, a1), wp.max(c0, c1))
+    clear = wp.max(wp.max(lower), wp.max(upper))
+    if clear > wp.max(reach[a], reach[a + 1]) + wp.max(reach[b], reach[b + 1]):
+        # Their boxes are: most pairs.
+        meetings.crossing[item] = 0
+        meetings.gap[item] = clear
+        meetings.slack[item] = clear
+        meetings.stiffness[item] = ZERO
+        return
+    apart = meetings.apart[item]
+    before = wp.length(apart)
     crossing = wp.int32(0)
     if may_cross(a0, a1, b0, b1, c0, c1, d0, d1):
         time = first_touch(a0, a1, b0, b1, c0, c1, d0, d1, LEFT * before)
@@ -151,10 +163,6 @@ def locate(
             d0 = b0 + time * (d0 - b0)
             d1 = b1 + time * (d1 - b1)
     meetings.crossing[item] = crossing
-    if crossing == 0 and meetings.turned[item] != 0 and meetings.acts[item] != 0:
-        # Turned back in this substep: as long as that takes a force, by the same plane, or it would go to and fro.
-        return
-    meetings.turned[item] = crossing
     place = closest_on_edges(c0, c1, d0, d1)
     s = place[0]
     t = place[1]
@@ -266,12 +274,15 @@ def hold(
 ):
     """Holds a pair's force at `x` from now on, if neither strand has moved further than `calm`; one pair an item.
 
+    Or if there is less of it: what has parted presses no more.
+
     strand: (node_count,) of each node.  furthest: (strand_count,) each strand's last move.
     """
     item = first + wp.tid()
     edges = meetings.edges[item]
-    if wp.max(furthest[strand[edges[0]]], furthest[strand[edges[1]]]) > calm:
-        return
     pushed = push(friction, start, x, meetings, item)
+    if wp.max(furthest[strand[edges[0]]], furthest[strand[edges[1]]]) > calm:
+        if meetings.gap[item] <= meetings.slack[item] or pushed.pressure >= meetings.pressure[item]:
+            return
     meetings.pressure[item] = pushed.pressure
     meetings.traction[item] = pushed.traction

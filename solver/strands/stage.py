@@ -195,8 +195,9 @@ class StrandsStage:
         )
 
     def _make_meetings(self, state: State) -> StrandContact | None:
-        """Contact of strands with each other."""
-        if self._model.settings.strand_contact.method != "implicit" or self.layout.strand_count < 2:
+        """Contact of strands with each other, and what holds points of strands."""
+        contact = self._model.settings.strand_contact.method == "implicit" and self.layout.strand_count > 1
+        if not contact and not self._model.scene.attachments:
             return None
         from plait.solver.strand_contact.coupled import StrandContact
 
@@ -242,6 +243,8 @@ class StrandsStage:
         if self._free is not None:
             self._free.lead(self._held, self._kinematics, substep.length)
         stands, meetings = True, self._meetings
+        if meetings is not None:
+            meetings.begin_substep(substep, self._held.position)
         touching = self._contact is not None and self._contact.active
         if not touching and meetings is None and self._impulses is None:
             self._solve(self._method, self._held, self._all, constrained=False)
@@ -264,16 +267,21 @@ class StrandsStage:
     def _meet(self, touching: bool, last_resort: bool) -> bool:
         """Solves strands that meet together, and finds the planes in their way, in turns; whether that stands."""
         meetings, contact, held, result = self._meetings, self._contact, self._held, self._result
+        free_strain = self._strain(result)
         meetings.begin(self._method, held, result, self._roots())
         planes = contact.planes if touching else self._no_planes
         for _ in range(self._model.settings.contact.passes):
             stands = meetings.solve(result, planes, touching, last_resort)
-            if not touching:
-                break
-            self._flags.assign(meetings.pairs.near.astype(np.int32))
+            if stands and not last_resort:
+                stands = not ((self._strain(result) - free_strain > STRAINED) & ~meetings.attached).any()
+            if not (stands and touching):
+                return stands
+            self._flags.assign(meetings.solved.astype(np.int32))
             if not contact.examine(held.position, result.position, self._flags):
-                break
-        return stands
+                return True
+        contact.guard(held.position, result.position, self._flags)
+        self._realign(self._flags)
+        return last_resort or not meetings.crossed(result.position)
 
     def _apply_impulses(self, substep: Interval, touching: bool) -> None:
         """Impulses between strands, in the result; what they drive into surfaces is led out again."""
@@ -394,8 +402,12 @@ class StrandsStage:
 
         tolerance: as `StrandSettings.tolerance`. Returns the Newton iterations of each strand, (strand_count,)
         int32, negative where they did not converge; such a strand is left where the iteration ended.
-        Raises `Refused` for free strands, which nothing keeps anywhere.
+        Raises `Refused` for free strands, which nothing keeps anywhere, and for attachments.
         """
+        if self._model.scene.attachments:
+            raise Refused(
+                f"{self._model.scene.attachments[0].name}: static equilibria are found without attachments"
+            )
         if self._free is not None:
             where = self.layout.where(int(np.argmax(self.layout.free)))
             raise Refused(f"{where}: it is free; what nothing holds has no static equilibrium")
