@@ -11,25 +11,21 @@ from plait.solver.diagnostics import Refused
 from plait.solver.kinematics import root_kernels as kernels
 from plait.solver.kinematics.deformer import Deformer
 from plait.solver.launch import Launcher
-from plait.solver.scene import Pose, Scene, Strands
+from plait.solver.scene import Pose, RootBinding, Scene, Strands
 
 PoseAt = Callable[[int, float], Pose]
 PlacePoints = Callable[[wp.array, wp.array], None]
 
 
-class Roots:
-    """Places every strand's root, in the order of `Scene.strands`; skins only the triangles they grow on.
+class TriangleFrames:
+    """Places frames on triangles of surfaces, those of `groups` one after another; skins no other triangles.
 
-    surfaces: those that strands grow on, indices into `Scene.surfaces`.
-    Raises `Refused` where a root's triangle does not exist or has no area at rest.
+    surfaces: those they are on, indices into `Scene.surfaces`.
     """
 
-    def __init__(self, scene: Scene, launcher: Launcher) -> None:
+    def __init__(self, groups: list[FrameGroup], scene: Scene, launcher: Launcher) -> None:
         self.launcher = launcher
-        groups = [_RootGroup(strands, scene) for strands in scene.strands]
-        self.count = sum(strands.strand_count for strands in scene.strands)
-        self.arc_length = np.concatenate([_arc_lengths(strands) for strands in scene.strands])
-        self.radius = np.concatenate([_largest_radii(strands) for strands in scene.strands])
+        self.count = sum(len(group.triangles) for group in groups)
         # Vertices are placed once however many strands share them.
         self.surfaces = sorted({group.surface for group in groups})
         self._first_vertex = {}
@@ -74,7 +70,7 @@ class Roots:
         rotation_out: wp.array,
         skins: Mapping[int, PlacePoints],
     ) -> None:
-        """Roots at `time` [s]; `rotation_out` must hold the last rotations, for triangles that have collapsed.
+        """Frames at `time` [s]; `rotation_out` must hold the last rotations, for triangles that have collapsed.
 
         skins: what places the points of surfaces that bodies carry now, by surface; others follow their pose.
         """
@@ -97,21 +93,44 @@ class Roots:
         )
 
 
-class _RootGroup:
-    """What one prim's strands are bound to, at rest."""
+class Roots(TriangleFrames):
+    """Places every strand's root, in the order of `Scene.strands`.
 
-    def __init__(self, strands: Strands, scene: Scene) -> None:
-        binding = strands.roots
+    Raises `Refused` where a root's triangle does not exist or has no area at rest.
+    """
+
+    def __init__(self, scene: Scene, launcher: Launcher) -> None:
+        groups = [
+            FrameGroup(
+                strands.name, "strand {} grows on", strands.roots, strands.points[strands.offsets[:-1]], scene
+            )
+            for strands in scene.strands
+        ]
+        super().__init__(groups, scene, launcher)
+        self.arc_length = np.concatenate([_arc_lengths(strands) for strands in scene.strands])
+        self.radius = np.concatenate([_largest_radii(strands) for strands in scene.strands])
+
+
+class FrameGroup:
+    """Frames on triangles of one surface, at rest.
+
+    name, words: of them all, and what one of them is, for messages: 'strand {} grows on'.
+    points: (n, 3) [m] that they carry, beside the surface's rest points; None: the places on the triangles.
+    """
+
+    def __init__(
+        self, name: str, words: str, binding: RootBinding, points: np.ndarray | None, scene: Scene
+    ) -> None:
         self.surface = binding.surface
         if not 0 <= binding.surface < len(scene.surfaces):
-            raise Refused(f"{strands.name}: bound to surface {binding.surface} of {len(scene.surfaces)}")
+            raise Refused(f"{name}: bound to surface {binding.surface} of {len(scene.surfaces)}")
         surface = scene.surfaces[binding.surface]
         triangle = np.asarray(binding.triangle)
         outside = (triangle < 0) | (triangle >= len(surface.triangles))
         if np.any(outside):
             strand = int(np.argmax(outside))
             raise Refused(
-                f"{strands.name}: strand {strand} is bound to triangle {triangle[strand]} of {surface.name}, "
+                f"{name}: {words.format(strand)} triangle {triangle[strand]} of {surface.name}, "
                 f"which has {len(surface.triangles)}"
             )
         self.triangles = np.asarray(surface.triangles)[triangle].astype(np.int64)
@@ -123,7 +142,7 @@ class _RootGroup:
         if np.any(flat):
             strand = int(np.argmax(flat))
             raise Refused(
-                f"{strands.name}: strand {strand} grows on triangle {triangle[strand]} of {surface.name}, "
+                f"{name}: {words.format(strand)} triangle {triangle[strand]} of {surface.name}, "
                 "which has no area at rest; bind it to another triangle or mend the mesh"
             )
         normal /= area[:, None]
@@ -134,7 +153,7 @@ class _RootGroup:
         self.rest_edges_inverse = np.linalg.inv(in_plane)
         self.barycentric = np.asarray(binding.barycentric, dtype=np.float64)
         place = corners[:, 0] + np.einsum("ne,nex->nx", self.barycentric[:, 1:], edges)
-        self.offset = strands.points[strands.offsets[:-1]] - place
+        self.offset = np.zeros_like(place) if points is None else points - place
 
 
 def _arc_lengths(strands: Strands) -> np.ndarray:

@@ -76,7 +76,7 @@ class KinematicsStage:
 
     def place_roots(self, time: float) -> None:
         """Moves `root_position` and `root_rotation` to `time` [s], those on skins to where the bodies are."""
-        self.roots.place(self.pose_at, time, self.root_position, self.root_rotation, self._skins())
+        self.roots.place(self.pose_at, time, self.root_position, self.root_rotation, self.skins())
 
     def begin_frame(self, state: State, frame: Interval) -> None:
         """Finds the colliders in reach and places them at the frame's start."""
@@ -147,7 +147,7 @@ class KinematicsStage:
             "skinned_points": self._skinned,
         }
 
-    def _skins(self) -> dict[int, Callable[[wp.array, wp.array], None]]:
+    def skins(self) -> dict[int, Callable[[wp.array, wp.array], None]]:
         """What places the points of each surface that a body carries; none before there are bodies."""
         tets = self.model.parts.get("tets")
         if tets is None:
@@ -161,7 +161,7 @@ class KinematicsStage:
             first = self.model.start_time
             self._skinned += self.colliders.plant(collider, self.pose_at(collider.index, first), first)
         if collider.carried:
-            self._skinned += self.colliders.take(collider, buffer, self._skins()[collider.index])
+            self._skinned += self.colliders.take(collider, buffer, self.skins()[collider.index])
         else:
             self._skinned += self.colliders.place(collider, buffer, self.pose_at(collider.index, time), time)
 

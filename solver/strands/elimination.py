@@ -4,9 +4,9 @@ Unknowns of segment k (edge k, 1 <= k <= node_count - 2): the turn of its direct
 node k + 1. Root and ghost nodes and the first director are prescribed. Node k + 1 sees edges k - 1 to k + 2, so
 the matrix is block pentadiagonal; it is assembled a block row at a time, factored at once and never stored.
 
-A free strand's root moves too, as the end of a segment 0 whose edge, the ghost's, only goes along: the joint at its
-root has no stiffness. Nothing holds such a strand against turning about itself where it is straight, so that the
-edges' own moments of inertia, which are left out otherwise, are what keeps the matrix definite: the limit of a
+A free strand's root moves too, as the end of a segment 0 whose edge, the ghost's, only goes along: the joint at
+its root has no stiffness. Nothing holds such a strand against turning about itself where it is straight, so that
+the edges' own moments of inertia, which are left out otherwise, are what keeps the matrix definite: the limit of a
 strand free at both ends, whose end carries no twisting moment.
 """
 

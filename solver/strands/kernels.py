@@ -162,8 +162,8 @@ def strand_kernels(real: type) -> SimpleNamespace:
         """Targets of an implicit stage, x = x0 + h v, v = v0 + h a; returns the inertia [1/s2].
 
         Damping acts on the velocity relative to the root's rigid motion over the piece (turn, centre, shift in
-        time `step`), a free strand's relative to its own.  explicit_step: 0, or (1 - gamma) step, by which SDIRK2's
-        first stage enters its second.
+        time `step`), a free strand's relative to its own.  explicit_step: 0, or (1 - gamma) step, by which
+        SDIRK2's first stage enters its second.
         """
         count = rods.first_node[strand + 1] - rods.first_node[strand]
         damping = rods.damping[strand]
