@@ -69,11 +69,12 @@ MEETING_ARRAYS = {
 
 @dataclass
 class Tally:
-    """Of a frame's substeps."""
+    """Of a frame's substeps: Newton passes and iterations of their linear solves, most passes in one substep, strands
+    that were held back as a last resort."""
 
     passes: int = 0
     linear_iterations: int = 0
-    contacts: int = 0
+    most_passes: int = 0
     held_back: int = 0
 
 
@@ -106,12 +107,18 @@ class StrandContact:
         for name in ("other", "pressure", "traction"):
             state.arrays[f"strand_contact/{name}"] = getattr(self._held, name)
         self._meets = False
+        self._passes = 0
         self._room = -1
         self.ties = Attachments(model, state, layout, real) if model.scene.attachments else None
         self.tally = Tally()
 
     def begin_frame(self) -> None:
         self.tally = Tally()
+
+    @property
+    def meets(self) -> bool:
+        """Whether strands were near each other in the last substep."""
+        return self._in_contact and self._meets
 
     @property
     def near(self) -> np.ndarray:
@@ -133,7 +140,7 @@ class StrandContact:
         meets = self._in_contact and self.pairs.find(start, end, self._margin)
         if not meets and self._meets:
             self._held.other.fill_(-1)
-        self._meets = meets
+        self._meets, self._passes = meets, 0
         return meets or (self.ties is not None and self.ties.count > 0)
 
     def begin(self, method: Any, held: Any, result: Any, roots: Any) -> None:
@@ -168,6 +175,7 @@ class StrandContact:
             if self.ties is not None:
                 self.ties.hold()
             self.tally.passes += 1
+            self._passes += 1
         inputs = [self._active, self._method, self._rods, self._roots, self._scratch, self._position]
         if not stands and last_resort:
             self._hold_back(planes, constrained)
@@ -194,7 +202,26 @@ class StrandContact:
         if self._meets:
             self._hold_all()
             self._remember(self._held)
-            self.tally.contacts = int(np.count_nonzero(self._meetings.pressure.numpy()[: self.pairs.count]))
+        self.tally.most_passes = max(self.tally.most_passes, self._passes)
+
+    def end_frame(self) -> dict[str, Any]:
+        """Metrics: contacts that push at the frame's end, the least distance of surfaces [m], passes, strands held
+        back."""
+        contacts, least = 0, None
+        if self.meets:
+            count, meetings = self.pairs.count, self._meetings
+            known = np.flatnonzero(meetings.stiffness.numpy()[:count] > 0.0)
+            contacts = int(np.count_nonzero(meetings.pressure.numpy()[:count]))
+            if len(known):
+                radius = self._layout.radius[meetings.edges.numpy()[known]].sum(axis=1)
+                least = float((meetings.gap.numpy()[known] + meetings.target.numpy()[known] - radius).min())
+        return {
+            "strand_contacts": contacts,
+            "strand_gap_min": least,
+            "strand_passes": self.tally.most_passes,
+            "strand_linear_iterations": self.tally.linear_iterations,
+            "strands_held_back": self.tally.held_back,
+        }
         if self.ties is not None:
             self.ties.commit()
 

@@ -23,6 +23,7 @@ from plait.solver.strands.types import rod_types
 if TYPE_CHECKING:
     from plait.solver.contact.reaction import SkinReaction
     from plait.solver.strand_contact.coupled import StrandContact
+    from plait.solver.strand_contact.missed import MissedCollisions
     from plait.solver.strand_contact.paper import PaperStrandContact
 
 # A strand that does not converge is stepped in halves, quarters, ... of its substep, down to this many parts.
@@ -73,12 +74,14 @@ class StrandsStage:
         self._contact = self._make_contact(state)
         self._meetings = self._make_meetings(state)
         self._impulses = self._make_impulses(state)
+        self._judge = self._make_judge()
         if self._contact is not None or self._meetings is not None or self._impulses is not None:
             self._result = self._allocate_result()
         self._iterations: list[np.ndarray] = []
         self._unconverged = 0
         self._subdivided = 0
         self._let_go_count = 0
+        self._missed = 0
 
     # -- building ------------------------------------------------------------------------------------------
 
@@ -203,6 +206,14 @@ class StrandsStage:
 
         return StrandContact(self._model, state, self.layout, self.rods, self.real)
 
+    def _make_judge(self) -> MissedCollisions | None:
+        """Counts what contact of strands lets through."""
+        if self._model.settings.strand_contact.method == "none" or self.layout.strand_count < 2:
+            return None
+        from plait.solver.strand_contact.missed import MissedCollisions
+
+        return MissedCollisions(self._launcher, self.layout)
+
     def _make_impulses(self, state: State) -> PaperStrandContact | None:
         """The variant of that: impulses after the solve."""
         if self._model.settings.strand_contact.method != "paper":
@@ -227,7 +238,7 @@ class StrandsStage:
 
     def begin_frame(self, state: State, frame: Interval) -> None:
         self._iterations.clear()
-        self._unconverged = self._subdivided = self._let_go_count = 0
+        self._unconverged = self._subdivided = self._let_go_count = self._missed = 0
         if self._contact is not None:
             self._contact.begin_frame()
         if self._meetings is not None:
@@ -301,6 +312,8 @@ class StrandsStage:
                 self._reaction.give(self._contact, self._result.position, self._report.reaction, substep.length)
         if self._meetings is not None:
             self._meetings.commit()
+        if self._judge is not None and (self._impulses is not None or self._meetings.meets):
+            self._missed += self._judge.count(self._held.position, self._result.position)
         for name in self._names:
             wp.copy(getattr(self._held, name), getattr(self._result, name))
 
@@ -430,8 +443,12 @@ class StrandsStage:
         iterations = np.concatenate(self._iterations) if self._iterations else np.zeros(1)
         total = dict(zip(MEASURES, values.sum(axis=0), strict=True))
         contacts = self._contact.end_frame(self._held.position) if self._contact is not None else {}
+        if self._meetings is not None:
+            contacts |= self._meetings.end_frame()
         if self._impulses is not None:
             contacts |= self._impulses.end_frame()
+        if self._judge is not None:
+            contacts |= {"missed": self._missed}
         return contacts | {
             "iterations_mean": float(iterations.mean()),
             "iterations_max": int(iterations.max()),
