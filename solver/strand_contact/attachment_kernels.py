@@ -23,10 +23,10 @@ def attachment_kernels(real: type) -> SimpleNamespace:
     module = f"plait_attachments_{real.__name__}"
     kernel = partial(wp.kernel, module=module, enable_backward=False)
     structure = partial(wp.struct, module=module)
-    # What a surface holds concerns one node, whose own block takes any stiffness. Between strands, conjugate
-    # gradients see the stiffness.
-    to_surface = 1.0e6 if real == wp.float64 else 1.0e3
-    to_strand = 20.0
+    # Stiffness of what holds exactly, over that of a node and that of a segment to stretch. A surface concerns one
+    # node, whose own block takes any stiffness; between strands, conjugate gradients see it.
+    to_surface = 1.0e4 if real == wp.float64 else 1.0e2
+    to_strand = 1.0
 
     @structure
     class Ties:
@@ -50,15 +50,18 @@ def attachment_kernels(real: type) -> SimpleNamespace:
         side: wp.array(dtype=wp.int32)  # 0: the node is its tie's a, 1: its b
 
     @kernel
-    def stiffen(first: int, node_stiffness: wp.array(dtype=wp.float64), ties: Ties):
-        """Stiffness of ties that are exact, by that of their nodes; one tie an item."""
+    def stiffen(first: int, across: wp.array(dtype=wp.float64), along: wp.array(dtype=wp.float64), ties: Ties):
+        """Stiffness of ties that are exact, by that of their nodes; one tie an item.
+
+        across, along: (node_count,) [N/m] what a node resists a point load by, what a segment there stretches by.
+        """
         i = first + wp.tid()
         if ties.exact[i] != 0:
-            of_a = node_stiffness[ties.a[i]]
+            of_a = across[ties.a[i]] + along[ties.a[i]]
             if ties.b[i] < 0:
                 ties.stiffness[i] = wp.float64(to_surface) * of_a
             else:
-                of_b = node_stiffness[ties.b[i]]
+                of_b = across[ties.b[i]] + along[ties.b[i]]
                 ties.stiffness[i] = wp.float64(to_strand) * of_a * of_b / (of_a + of_b)
 
     @wp.func(module=module)

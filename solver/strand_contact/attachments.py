@@ -16,9 +16,8 @@ from plait.solver.strand_contact.attachment_kernels import attachment_kernels
 from plait.solver.strand_contact.meeting_kernels import Meetings
 from plait.solver.strands.layout import Layout
 
-# What is held exactly is off by at most this part of a segment, in float32 limited by the rounding of positions;
-# and where passes are at an end, by that.
-HELD, HELD_FLOAT32, LOOSE = 3e-7, 1e-4, 1e-2
+# What is held exactly is off by at most this part of a segment; in float32 by the rounding of positions.
+HELD, HELD_FLOAT32 = 3e-7, 1e-4
 
 
 class Attachments:
@@ -46,6 +45,8 @@ class Attachments:
         )
         self._stiffness = np.repeat([attachment.stiffness for attachment in scene.attachments], counts)
         self._exact = np.isinf(self._stiffness)
+        along = (layout.stretch / layout.mean_segment)[layout.node_strand]
+        self._along = wp.array(along, dtype=wp.float64, device=model.launcher.device)
         held = [t for t in scene.attachments if t.surface is not None]
         groups = [
             FrameGroup(
@@ -139,7 +140,7 @@ class Attachments:
         pairs: how many `meetings` there are.
         """
         launcher, kernels, ties, ends = self._launcher, self._kernels, self._ties, self._ends
-        launcher.launch(kernels.stiffen, self.count, [stiffness], [ties])
+        launcher.launch(kernels.stiffen, self.count, [stiffness, self._along], [ties])
         beside = wp.array(self._beside(meetings.edges.numpy()[:pairs]), dtype=wp.int32, device=launcher.device)
         self._exempt = launcher.prepare(kernels.exempt, len(beside), [beside], [meetings])
         self._measure = launcher.prepare(kernels.measure, self.count, [position], [ties])
@@ -163,15 +164,15 @@ class Attachments:
         """Whether any tie that is on is between strands."""
         return bool((self._b[self._which] >= 0).any())
 
-    def holds(self, at_an_end: bool) -> bool:
+    @property
+    def hold_exactly(self) -> bool:
         """Whether exact ties are as near as they are to be; after `measure`."""
         exact = self._exact[self._which]
         if not exact.any():
             return True
         segment = self._layout.mean_segment[self._layout.node_strand[self._a[self._which]]]
         part = np.linalg.norm(self._ties.gap.numpy(), axis=1)[exact] / segment[exact]
-        held = HELD if self._real == wp.float64 else HELD_FLOAT32
-        return bool(part.max() <= (LOOSE if at_an_end else held))
+        return bool(part.max() <= (HELD if self._real == wp.float64 else HELD_FLOAT32))
 
     def _beside(self, pairs: np.ndarray) -> np.ndarray:
         """Which pairs of edges, (pair_count, 2), lie beside a tie that holds their strands together."""
