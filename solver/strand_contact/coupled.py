@@ -47,7 +47,7 @@ FURTHEST = 1.0
 # As a last resort strands go half, a quarter, ... of their way, so often, then none of it.
 HALVINGS = 6
 # Pairs are found this much further apart than they interact, over the distance.
-MARGIN, WIDER = 1.0, 4.0
+MARGIN, WIDER = 0.5, 4.0
 # Cost of an item in units of `Launcher.launch`.
 PAIR_WORK, LOCATE_WORK, NODE_WORK = 4, 16, 8
 MEETING_ARRAYS = {
@@ -71,7 +71,7 @@ MEETING_ARRAYS = {
 
 @dataclass
 class Tally:
-    """Of a frame's substeps: Newton passes and iterations of their linear solves, most passes in one substep, strands
+    """Of a frame: Newton passes, iterations of their linear solves, most passes in a substep, strands
     that were held back as a last resort."""
 
     passes: int = 0
@@ -173,7 +173,7 @@ class StrandContact:
                 break
             self._relaxation.fill_(1.0 if done < UNRELAXED else RELAXED)
             self._newton()
-            self._hold()
+            self._hold(CALM)
             if self.ties is not None:
                 self.ties.hold()
             self.tally.passes += 1
@@ -202,7 +202,7 @@ class StrandContact:
     def commit(self) -> None:
         """The substep stands: its contacts are those to go on from."""
         if self._meets:
-            self._hold_all()
+            self._hold(np.inf)
             self._remember(self._held)
         if self.ties is not None:
             self.ties.commit()
@@ -291,20 +291,9 @@ class StrandContact:
 
         places = [self._start, self._position]
         self._locate = of_pairs(locate, [self._reach, self._stiffness, *places], LOCATE_WORK)
-        self._press = of_pairs(press, [self._friction, *places], PAIR_WORK)
-        moved = [self._friction, *places, self._strand, self._furthest]
-        self._hold = of_pairs(hold, [*moved, wp.float64(CALM)], PAIR_WORK)
-        self._hold_all = of_pairs(hold, [*moved, wp.float64(np.inf)], PAIR_WORK)
-        acting = [self._acting, self._acting_count]
-        self._gather = of_strands(
-            kernels.gather, [active, pairs.first, pairs.incident, meetings, rods], [scratch, *acting]
-        )
         system = [active, rods, planes, constrained, self._roots, self._inertia]
         self._linearise = of_strands(
             kernels.linearise, [*system, scratch], [krylov, self._product, self._definite]
-        )
-        self._image = of_strands(
-            kernels.image, [active, rods, pairs.first, *acting, meetings], [krylov, self._product]
         )
         self._descend = of_strands(kernels.descend, [active, self._alpha, rods], [scratch, krylov, self._product])
         self._search = of_strands(kernels.search, [active, self._beta, rods, scratch], [krylov])
@@ -322,29 +311,58 @@ class StrandContact:
         if self.ties is not None:
             self.ties.measure()
 
+    def _press(self) -> Callable[[], None]:
+        """Forces and stiffnesses of pairs that take part, at their nodes; what makes images of directions."""
+        launcher, meetings = self._launcher, self._meetings
+        device, count = launcher.device, self.pairs.count
+        self._part = np.flatnonzero(meetings.stiffness.numpy()[:count]).astype(np.int32)
+        part = wp.array(self._part, dtype=wp.int32, device=device)
+        self._pushing = [part, self._friction, self._start, self._position]
+        launcher.launch(press, len(self._part), self._pushing, [meetings], work_per_item=PAIR_WORK)
+        act = self._part[meetings.acts.numpy()[self._part] > 0]
+        edges = meetings.edges.numpy()[act].ravel()
+        order = np.argsort(edges, kind="stable")
+        incident = (2 * act[:, None] + np.arange(2)).ravel()[order]
+        first = np.searchsorted(edges[order], np.arange(self._layout.node_count + 1))
+        acting = [wp.array(values.astype(np.int32), dtype=wp.int32, device=device) for values in (first, incident)]
+        inputs = [self._active, *acting, meetings, self._rods]
+        self._launch(self._kernels.gather, inputs, [self._scratch])
+        acts = wp.array(act, dtype=wp.int32, device=device)
+        answer = launcher.prepare(
+            self._kernels.answer, len(act), [acts, meetings], [self._krylov], work_per_item=PAIR_WORK
+        )
+        combine = launcher.prepare(
+            self._kernels.image,
+            self._count,
+            [self._active, self._rods, *acting, meetings],
+            [self._krylov, self._product],
+            work_per_item=self._work,
+        )
+
+        def image() -> None:
+            answer()
+            combine()
+
+        return image
+
+    def _hold(self, calm: float) -> None:
+        """Holds the forces that pairs now have."""
+        inputs = [*self._pushing, self._strand, self._furthest, wp.float64(calm)]
+        self._launcher.launch(hold, len(self._part), inputs, [self._meetings], work_per_item=PAIR_WORK)
+
     def _newton(self) -> None:
         """One Newton step of all strands together."""
-        self._press()
-        self._gather()
+        image = self._press()
         if self.ties is not None:
             self.ties.gather()
         self._linearise()
-        pairs = np.flatnonzero(self._meetings.acts.numpy()[: self.pairs.count]).astype(np.int32)
-        answer = self._launcher.prepare(
-            self._kernels.answer,
-            len(pairs),
-            [wp.array(pairs, dtype=wp.int32, device=self._launcher.device), self._meetings],
-            [self._krylov],
-            work_per_item=PAIR_WORK,
-        )
         left = self._products()
         joined = self.ties is not None and self.ties.joins_strands
         enough = (TIED_TOLERANCE if joined else LINEAR_TOLERANCE) ** 2 * left
         for _ in range(MAX_TIED_ITERATIONS if joined else MAX_LINEAR_ITERATIONS):
             if left <= enough:
                 break
-            answer()
-            self._image()
+            image()
             curvature = self._products()
             if self.ties is not None:
                 curvature += self.ties.image()
@@ -426,7 +444,6 @@ class StrandContact:
         self._position, self._sought = (wp.zeros(nodes, dtype=wp.vec3d, device=device) for _ in range(2))
         self._stiffness = wp.zeros(nodes, dtype=wp.float64, device=device)
         self._inertia = wp.zeros(strands, dtype=self._real, device=device)
-        self._acting_count = wp.zeros(nodes, dtype=wp.int32, device=device)
         self._product, self._furthest, self._stray = (
             wp.zeros(strands, dtype=wp.float64, device=device) for _ in range(3)
         )
@@ -443,7 +460,6 @@ class StrandContact:
             self._meetings = Meetings()
             for name, dtype in MEETING_ARRAYS.items():
                 setattr(self._meetings, name, wp.zeros(self._room, dtype=dtype, device=device))
-            self._acting = wp.zeros(2 * self._room, dtype=wp.int32, device=device)
         self._meetings.edges = self.pairs.pairs
 
 

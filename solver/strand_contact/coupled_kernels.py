@@ -102,17 +102,15 @@ def coupled_kernels(real: type) -> SimpleNamespace:
     def gather(
         first: int,
         strands: wp.array(dtype=wp.int32),
-        incident_first: wp.array(dtype=wp.int32),
-        incident: wp.array(dtype=wp.int32),
+        acting_first: wp.array(dtype=wp.int32),
+        acting: wp.array(dtype=wp.int32),
         meetings: Meetings,
         rods: Rods,
         scratch: Scratch,
-        acting_out: wp.array(dtype=wp.int32),
-        acting_count_out: wp.array(dtype=wp.int32),
     ):
-        """What the forces and stiffnesses of its pairs are to a strand's nodes; and which pairs of an edge act.
+        """What the forces and stiffnesses of its pairs are to a strand's nodes.
 
-        acting_out: as `incident`, those of an edge first; acting_count_out: (node_count,) how many.
+        acting_first, acting: the pairs of each edge that act, as those of `EdgePairs`.
         """
         strand = strands[first + wp.tid()]
         base = rods.first_node[strand]
@@ -127,25 +125,20 @@ def coupled_kernels(real: type) -> SimpleNamespace:
             between = wp.mat33d()
             force_here = wp.vec3d()
             force_next = wp.vec3d()
-            count = wp.int32(0)
-            for at in range(incident_first[edge], incident_first[edge + 1]):
-                pair = incident[at] / 2
-                side = incident[at] % 2
-                if meetings.acts[pair] != 0:
-                    acting_out[incident_first[edge] + count] = incident[at]
-                    count += 1
-                    w = meetings.place[pair][side]
-                    u = wp.float64(1.0) - w
-                    block = meetings.block[pair]
-                    force = meetings.force[pair]
-                    if side == 1:
-                        force = -force
-                    block_here += (u * u) * block
-                    block_next += (w * w) * block
-                    between += (u * w) * block
-                    force_here += u * force
-                    force_next += w * force
-            acting_count_out[edge] = count
+            for at in range(acting_first[edge], acting_first[edge + 1]):
+                pair = acting[at] / 2
+                side = acting[at] % 2
+                w = meetings.place[pair][side]
+                u = wp.float64(1.0) - w
+                block = meetings.block[pair]
+                force = meetings.force[pair]
+                if side == 1:
+                    force = -force
+                block_here += (u * u) * block
+                block_next += (w * w) * block
+                between += (u * w) * block
+                force_here += u * force
+                force_next += w * force
             scratch.meeting_block[edge] = scratch.meeting_block[edge] + mat33(block_here)
             scratch.meeting_gradient[edge] = scratch.meeting_gradient[edge] - vec3(force_here)
             scratch.meeting_block[edge + 1] = mat33(block_next)
@@ -223,9 +216,8 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         first: int,
         strands: wp.array(dtype=wp.int32),
         rods: Rods,
-        incident_first: wp.array(dtype=wp.int32),
+        acting_first: wp.array(dtype=wp.int32),
         acting: wp.array(dtype=wp.int32),
-        acting_count: wp.array(dtype=wp.int32),
         meetings: Meetings,
         krylov: Krylov,
         product_out: wp.array(dtype=wp.float64),
@@ -238,10 +230,9 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         pull = wp.vec3d()  # on the node at which the edge begins
         for edge in range(base + 1, rods.first_node[strand + 1]):
             pull_next = wp.vec3d()
-            for i in range(acting_count[edge]):
-                incident = acting[incident_first[edge] + i]
-                pair = incident / 2
-                side = incident % 2
+            for at in range(acting_first[edge], acting_first[edge + 1]):
+                pair = acting[at] / 2
+                side = acting[at] % 2
                 w = meetings.place[pair][side]
                 answer = wp.where(side == 0, meetings.answer[pair], meetings.answer_back[pair])
                 pull += (wp.float64(1.0) - w) * answer

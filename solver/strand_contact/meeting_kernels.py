@@ -117,6 +117,15 @@ def remember(
                 held_out.traction[slot] = meetings.traction[pair]
 
 
+@wp.func
+def rest(meetings: Meetings, item: int):
+    """The pair takes no part."""
+    meetings.stiffness[item] = ZERO
+    meetings.pressure[item] = ZERO
+    meetings.traction[item] = wp.vec3d()
+    meetings.acts[item] = 0
+
+
 @wp.kernel
 def locate(
     first: int,
@@ -149,7 +158,7 @@ def locate(
         meetings.crossing[item] = 0
         meetings.gap[item] = clear
         meetings.slack[item] = clear
-        meetings.stiffness[item] = ZERO
+        rest(meetings, item)
         return
     apart = meetings.apart[item]
     before = wp.length(apart)
@@ -183,6 +192,7 @@ def locate(
         # On another side without having gone through: past an end, or a neighbour has. It is left to that.
         held = ZERO
         gap = wp.max(gap, ZERO)
+        rest(meetings, item)
     meetings.place[item] = wp.vec2d(s, t)
     meetings.normal[item] = normal
     meetings.target[item] = target
@@ -245,16 +255,17 @@ def push(
 @wp.kernel
 def press(
     first: int,
+    part: wp.array(dtype=wp.int32),
     friction: wp.array(dtype=wp.float64),
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
     meetings: Meetings,
 ):
-    """Force and stiffness of each pair at `x`; one pair an item.
+    """Force and stiffness at `x` of the pairs that take part; one an item.
 
     friction: (node_count,) Coulomb coefficient; a pair's is the mean of both.
     """
-    item = first + wp.tid()
+    item = part[first + wp.tid()]
     pushed = push(friction, start, x, meetings, item)
     meetings.acts[item] = wp.where(pushed.pressure > ZERO, 1, 0)
     meetings.force[item] = pushed.pressure * meetings.normal[item] + pushed.traction
@@ -264,6 +275,7 @@ def press(
 @wp.kernel
 def hold(
     first: int,
+    part: wp.array(dtype=wp.int32),
     friction: wp.array(dtype=wp.float64),
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
@@ -272,13 +284,13 @@ def hold(
     calm: wp.float64,
     meetings: Meetings,
 ):
-    """Holds a pair's force at `x` from now on, if neither strand has moved further than `calm`; one pair an item.
+    """Holds the force at `x` of pairs that take part from now on, if neither strand has moved further than `calm`.
 
     Or if there is less of it: what has parted presses no more.
 
     strand: (node_count,) of each node.  furthest: (strand_count,) each strand's last move.
     """
-    item = first + wp.tid()
+    item = part[first + wp.tid()]
     edges = meetings.edges[item]
     pushed = push(friction, start, x, meetings, item)
     if wp.max(furthest[strand[edges[0]]], furthest[strand[edges[1]]]) > calm:
