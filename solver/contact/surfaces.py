@@ -95,6 +95,8 @@ class SurfaceContact:
         self._kinematics.begin_frame(state, start)
         self._table.begin_frame()
         self._note_drawn(position, first_node)
+        self._drawn_clearance = nodes.clearance.numpy().copy()
+        self._left_out = np.zeros(node_count, dtype=bool)
 
     @property
     def active(self) -> bool:
@@ -111,6 +113,13 @@ class SurfaceContact:
         self._table.begin_frame()
         self._moved.zero_()
         self._clear()
+
+    def leave_out(self, nodes: np.ndarray) -> None:
+        """Gives nodes, (node_count,) bool, no contact from now on: what holds them says where they are."""
+        if np.array_equal(nodes, self._left_out):
+            return
+        self._left_out = nodes
+        self._nodes.clearance.assign(np.where(nodes, -1.0, self._drawn_clearance))
 
     def begin_substep(self, length: float) -> None:
         """Forgets the planes; `length` of the substep [s]. After the kinematics stage has stepped."""

@@ -256,6 +256,8 @@ class StrandsStage:
         stands, meetings = True, self._meetings
         if meetings is not None:
             meetings.begin_substep(substep, self._held.position)
+            if meetings.ties is not None and self._contact is not None:
+                self._contact.leave_out(meetings.ties.held_nodes)
         touching = self._contact is not None and self._contact.active
         if not touching and meetings is None and self._impulses is None:
             self._solve(self._method, self._held, self._all, constrained=False)

@@ -16,6 +16,8 @@ from plait.solver.contact.obstacle_force_kernels import tet_kernels
 from plait.solver.linear.block_kernels import block_kernels
 from plait.solver.linear.coarse_kernels import coarse_kernels
 from plait.solver.materials.laws import LAWS
+from plait.solver.strand_contact.attachment_kernels import attachment_kernels
+from plait.solver.strand_contact.coupled_kernels import coupled_kernels
 from plait.solver.strands.kernels import strand_kernels
 from plait.solver.tets.body_kernels import body_kernels
 from plait.solver.tets.damping_kernels import damping_kernels
@@ -26,7 +28,16 @@ from plait.solver.warp_start import start_warp
 
 start_warp()
 # Factories of kernels by precision.
-MADE = (block_kernels, coarse_kernels, body_kernels, damping_kernels, explicit_kernels, skin_kernels)
+MADE = (
+    attachment_kernels,
+    block_kernels,
+    coarse_kernels,
+    coupled_kernels,
+    body_kernels,
+    damping_kernels,
+    explicit_kernels,
+    skin_kernels,
+)
 
 
 def kernels() -> Iterator[wp.Kernel]:

@@ -172,6 +172,21 @@ def test_tied_points_do_not_collide():
         np.testing.assert_allclose(apart, drawn, atol=1e-6 * SEGMENT)
 
 
+def test_a_point_held_below_a_surface_stays_there():
+    """What holds a point exactly says where it is; the rest of the strand lies on the floor."""
+    corners = np.array([[-1.0, 0.0, -1.0], [-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, -1.0]])
+    floor = Surface("floor", corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), friction=0.5)
+    shape = line(LENGTH, SEGMENTS) + np.array([0.0, 1e-3, 0.0])
+    down = FormulaMotion(lambda time: translation(np.array([0.0, -2e-3 * min(4.0 * time, 1.0), 0.0])))
+    scene = held(set_free(rod_scene([shape], surfaces=(floor,), damping=5.0, **FIBRE), True), 10, down)
+    simulation = start(scene)
+    for frame in range(12):
+        assert simulation.advance_frame((frame + 1) * FRAME)["substeps"] == 8
+    height = simulation.model.parts["strands"].points(0)[:, 1]
+    assert height[10] == pytest.approx(-1e-3, abs=1e-6 * SEGMENT)
+    assert np.delete(height, 10).min() > 0.0
+
+
 def test_resumes_with_the_same_bits():
     shapes = [line(LENGTH, SEGMENTS), line(LENGTH, SEGMENTS) + np.array([0.0, 0.0, 0.02])]
     scene = held(rod_scene(shapes, **FIBRE), SEGMENTS, FormulaMotion(rolling), switch=Window(2 * FRAME, 6 * FRAME))
