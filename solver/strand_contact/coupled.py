@@ -19,6 +19,7 @@ from plait.solver.strand_contact.meeting_kernels import (
     HELD_AN_EDGE,
     Held,
     Meetings,
+    expect,
     hold,
     locate,
     press,
@@ -48,6 +49,8 @@ FURTHEST = 1.0
 HALVINGS = 6
 # Pairs are found this much further apart than they interact, over the distance.
 MARGIN, WIDER = 0.5, 4.0
+# And over the way that gravity makes in a substep, which contact may or may not take away.
+FALL = 2.5
 # Cost of an item in units of `Launcher.launch`.
 PAIR_WORK, LOCATE_WORK, NODE_WORK = 4, 16, 8
 MEETING_ARRAYS = {
@@ -102,7 +105,8 @@ class StrandContact:
         tapered[layout.prescribed] = 0.0
         self._reach = wp.array(tapered, dtype=wp.float64, device=device)
         self._friction = wp.array(layout.friction[layout.node_strand], dtype=wp.float64, device=device)
-        self._margin = MARGIN * 2.0 * float(reach.max())
+        self._widest, self._gravity = 2.0 * float(reach.max()), float(np.linalg.norm(model.scene.gravity))
+        self._margin = 0.0
         self.pairs = EdgePairs(model.launcher, layout, reach, layout.prescribed)
         slots = layout.node_count * int(HELD_AN_EDGE)
         self._held, self._kept = (_allocate_held(slots, device) for _ in range(2))
@@ -137,9 +141,14 @@ class StrandContact:
         if self.ties is not None:
             self.ties.begin_substep(substep, position)
 
-    def find(self, start: wp.array, end: wp.array) -> bool:
-        """Whether strands are attached, or near others between `start` and `end`, (node_count,) vec3d [m]."""
-        meets = self._in_contact and self.pairs.find(start, end, self._margin)
+    def find(self, held: Any, result: Any, length: float) -> bool:
+        """Whether strands are attached, or near others in a substep of `length` [s] from `held` on.
+
+        result: where they would go by themselves.
+        """
+        self._expected = result.position
+        self._margin = max(MARGIN * self._widest, FALL * self._gravity * length**2)
+        meets = self._in_contact and self._find_pairs(held, result, length)
         if not meets and self._meets:
             self._held.other.fill_(-1)
         self._meets, self._passes = meets, 0
@@ -149,7 +158,7 @@ class StrandContact:
         """From the substep's start, `held`, for the strands found near each other on their way to `result`."""
         self._allocate()
         self._method, self._state, self._roots = method, held, roots
-        self._start, self._expected, self._room_to_stray = held.position, result.position, self._margin
+        self._start, self._room_to_stray = held.position, self._margin
         self._strands = np.zeros(0, dtype=np.int32)
         self._take_pairs(self._held)
 
@@ -229,6 +238,23 @@ class StrandContact:
 
     # -- pairs ---------------------------------------------------------------------------------------------
 
+    def _find_pairs(self, held: Any, result: Any, length: float) -> bool:
+        """What was in contact is expected where its velocity leads, not where it would fall to."""
+        touching = (self._held.other.numpy() >= 0).reshape(-1, int(HELD_AN_EDGE)).any(axis=1)
+        edges = np.flatnonzero(touching)
+        if len(edges):
+            self._allocate()
+            others = self._held.other.numpy().reshape(-1, int(HELD_AN_EDGE))[edges]
+            strand = self._layout.node_strand
+            lasting = np.zeros(self._layout.strand_count, dtype=np.int32)
+            lasting[strand[edges]] = 1
+            lasting[strand[others[others >= 0]]] = 1
+            flags = wp.array(lasting, dtype=wp.int32, device=self._launcher.device)
+            inputs = [flags, self._strand, held.position, held.velocity, wp.float64(length), result.position]
+            self._launcher.launch(expect, self._layout.node_count, inputs, [self._sought])
+            self._expected = self._sought
+        return self.pairs.find(held.position, self._expected, self._margin)
+
     def _take_pairs(self, forces: Held) -> None:
         """The pairs last found, with the forces they had; begins strands that are new among them."""
         launcher = self._launcher
@@ -249,13 +275,9 @@ class StrandContact:
     def _find_again(self, planes: ContactPlanes, constrained: bool) -> None:
         """Strands have left the places for which pairs were found."""
         self._remember(self._kept)
-        wp.copy(self._sought, self._position)
-        away = np.setdiff1d(np.arange(self._layout.strand_count), self._strands)
-        if len(away):
-            nodes = np.isin(self._layout.node_strand, away)
-            places = self._sought.numpy()
-            places[nodes] = self._expected.numpy()[nodes]
-            self._sought.assign(places)
+        nodes = self.solved[self._layout.node_strand]
+        places = np.where(nodes[:, None], self._position.numpy(), self._expected.numpy())
+        self._sought.assign(places)
         self._expected = self._sought
         # The further they stray, the further they may in the passes to come.
         widest = WIDER * self._margin

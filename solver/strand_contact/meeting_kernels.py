@@ -70,6 +70,24 @@ def along(x: wp.array(dtype=wp.vec3d), edge: int, place: wp.float64):
 
 
 @wp.kernel
+def expect(
+    first: int,
+    lasting: wp.array(dtype=wp.int32),
+    strand: wp.array(dtype=wp.int32),
+    start: wp.array(dtype=wp.vec3d),
+    velocity: wp.array(dtype=wp.vec3d),
+    length: wp.float64,
+    alone: wp.array(dtype=wp.vec3d),
+    expected_out: wp.array(dtype=wp.vec3d),
+):
+    """Where nodes are expected: those of `lasting` strands go on, others where they go alone; one an item."""
+    node = first + wp.tid()
+    expected_out[node] = alone[node]
+    if lasting[strand[node]] != 0:
+        expected_out[node] = start[node] + length * velocity[node]
+
+
+@wp.kernel
 def recall(first: int, start: wp.array(dtype=wp.vec3d), held: Held, meetings: Meetings):
     """How a pair begins, and the forces that it had before; one pair an item."""
     item = first + wp.tid()
@@ -284,7 +302,7 @@ def hold(
     calm: wp.float64,
     meetings: Meetings,
 ):
-    """Holds the force at `x` of pairs that take part from now on, if neither strand has moved further than `calm`.
+    """Holds the force at `x` of pairs that take part from now on, if neither strand has moved beyond `calm`.
 
     Or if there is less of it: what has parted presses no more.
 

@@ -266,7 +266,7 @@ class StrandsStage:
                 stands = self._step_in_contact(substep, last_resort)
             else:
                 self._solve(self._method, self._result, self._all, constrained=False)
-            if stands and meetings is not None and meetings.find(self._held.position, self._result.position):
+            if stands and meetings is not None and meetings.find(self._held, self._result, substep.length):
                 stands = self._meet(touching, last_resort)
             if stands and self._impulses is not None:
                 self._apply_impulses(substep, touching)
