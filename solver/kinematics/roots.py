@@ -101,9 +101,7 @@ class Roots(TriangleFrames):
 
     def __init__(self, scene: Scene, launcher: Launcher) -> None:
         groups = [
-            FrameGroup(
-                strands.name, "strand {} grows on", strands.roots, strands.points[strands.offsets[:-1]], scene
-            )
+            FrameGroup(strands.name, "strand", strands.roots, strands.points[strands.offsets[:-1]], scene)
             for strands in scene.strands
         ]
         super().__init__(groups, scene, launcher)
@@ -114,12 +112,12 @@ class Roots(TriangleFrames):
 class FrameGroup:
     """Frames on triangles of one surface, at rest.
 
-    name, words: of them all, and what one of them is, for messages: 'strand {} grows on'.
+    name, each: of them all, and what one of them carries, for messages.
     points: (n, 3) [m] that they carry, beside the surface's rest points; None: the places on the triangles.
     """
 
     def __init__(
-        self, name: str, words: str, binding: RootBinding, points: np.ndarray | None, scene: Scene
+        self, name: str, each: str, binding: RootBinding, points: np.ndarray | None, scene: Scene
     ) -> None:
         self.surface = binding.surface
         if not 0 <= binding.surface < len(scene.surfaces):
@@ -130,7 +128,7 @@ class FrameGroup:
         if np.any(outside):
             strand = int(np.argmax(outside))
             raise Refused(
-                f"{name}: {words.format(strand)} triangle {triangle[strand]} of {surface.name}, "
+                f"{name}: {each} {strand} is bound to triangle {triangle[strand]} of {surface.name}, "
                 f"which has {len(surface.triangles)}"
             )
         self.triangles = np.asarray(surface.triangles)[triangle].astype(np.int64)
@@ -142,7 +140,7 @@ class FrameGroup:
         if np.any(flat):
             strand = int(np.argmax(flat))
             raise Refused(
-                f"{name}: {words.format(strand)} triangle {triangle[strand]} of {surface.name}, "
+                f"{name}: {each} {strand} grows on triangle {triangle[strand]} of {surface.name}, "
                 "which has no area at rest; bind it to another triangle or mend the mesh"
             )
         normal /= area[:, None]

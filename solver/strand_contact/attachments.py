@@ -49,9 +49,7 @@ class Attachments:
         self._along = wp.array(along, dtype=wp.float64, device=model.launcher.device)
         held = [t for t in scene.attachments if t.surface is not None]
         groups = [
-            FrameGroup(
-                t.name, "point {} is held on", RootBinding(t.surface, t.triangle, t.barycentric), None, scene
-            )
+            FrameGroup(t.name, "point", RootBinding(t.surface, t.triangle, t.barycentric), None, scene)
             for t in held
         ]
         self._on_surface = np.flatnonzero(self._b < 0)
