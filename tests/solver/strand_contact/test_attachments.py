@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import warp as wp
 
 from plait.pipeline.benchmarks.scenes import FormulaMotion, translation
 from plait.solver.build import build
@@ -16,6 +17,7 @@ from plait.solver.settings import Settings, StrandContactSettings, StrandSetting
 from plait.solver.step import Simulation
 
 from ..strands.rod_scenes import line, rod_scene
+from ..tets.lattices import box_lattice, tet_body
 
 FRAME = 1.0 / 24.0
 LENGTH, SEGMENTS = 0.1, 20
@@ -185,6 +187,27 @@ def test_a_point_held_below_a_surface_stays_there():
     height = simulation.model.parts["strands"].points(0)[:, 1]
     assert height[10] == pytest.approx(-1e-3, abs=1e-6 * SEGMENT)
     assert np.delete(height, 10).min() > 0.0
+
+
+def test_a_point_follows_flesh():
+    """Held to a skin, it goes where the body takes that: a soft bar that sags and swings."""
+    nodes, tets = box_lattice((0.4, 0.1, 0.1), (4, 1, 1))
+    body, skin = tet_body(
+        nodes, tets, surface=1, youngs_modulus=3e4, pinned=nodes[:, 0] < nodes[:, 0].min() + 1e-6
+    )
+    triangle = int(np.argmax(skin.points[skin.triangles[:, 0]] @ [1.0, -1.0, 0.0]))
+    shape = skin.points[skin.triangles[triangle, 0]] + line(LENGTH, SEGMENTS, (0.2, -1.0, 0.0))
+    scene = set_free(rod_scene([shape], damping=5.0, surfaces=(replace(skin, collides=False),), **FIBRE), True)
+    corner = Attachment("held", 0, np.zeros(1, np.int32), 1, np.array([triangle]), np.array([[1.0, 0.0, 0.0]]))
+    simulation = start(replace(scene, bodies=(body,), attachments=(corner,)))
+    stage, flesh = simulation.model.parts["strands"], simulation.model.parts["tets"]
+    skinned = wp.zeros(len(skin.points), dtype=wp.vec3d, device="cpu")
+    for frame in range(6):
+        simulation.advance_frame((frame + 1) * FRAME)
+        flesh.place_skin(0, skinned, wp.zeros(0, dtype=wp.vec3f, device="cpu"))
+        corner_now = skinned.numpy()[skin.triangles[triangle, 0]]
+        assert np.linalg.norm(stage.points(0)[0] - corner_now) <= 1e-6 * SEGMENT
+    assert np.linalg.norm(corner_now - shape[0]) > 0.01
 
 
 def test_resumes_with_the_same_bits():
