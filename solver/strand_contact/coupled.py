@@ -33,8 +33,9 @@ from plait.solver.strands.types import rod_types
 # Conjugate gradients end when the residual's norm under the preconditioner has fallen to this part.
 LINEAR_TOLERANCE = 0.01
 MAX_LINEAR_ITERATIONS = 40
-# The same where ties are stiff between strands, whose common motion the preconditioner hardly sees.
-TIED_TOLERANCE, MAX_TIED_ITERATIONS = 1e-10, 400
+# The same where strands are free, as what is left is momentum lost; and where ties are stiff between strands, whose
+# common motion the preconditioner hardly sees.
+FREE_TOLERANCE, TIED_TOLERANCE, MAX_TIED_ITERATIONS = 1e-5, 1e-10, 400
 # A pass that moves no node further than this part of a segment leaves contact forces that are worth holding.
 CALM = 0.003
 # A pass that moves no node further than this part of a segment, with nothing out of place, is the last.
@@ -379,9 +380,13 @@ class StrandContact:
             self.ties.gather()
         self._linearise()
         left = self._products()
-        joined = self.ties is not None and self.ties.joins_strands
-        enough = (TIED_TOLERANCE if joined else LINEAR_TOLERANCE) ** 2 * left
-        for _ in range(MAX_TIED_ITERATIONS if joined else MAX_LINEAR_ITERATIONS):
+        tolerance, iterations = LINEAR_TOLERANCE, MAX_LINEAR_ITERATIONS
+        if self._layout.free[self._strands].any():
+            tolerance = FREE_TOLERANCE
+        if self.ties is not None and self.ties.joins_strands:
+            tolerance, iterations = TIED_TOLERANCE, MAX_TIED_ITERATIONS
+        enough = tolerance**2 * left
+        for _ in range(iterations):
             if left <= enough:
                 break
             image()
