@@ -33,8 +33,8 @@ from plait.solver.strands.types import rod_types
 # Conjugate gradients end when the residual's norm under the preconditioner has fallen to this part.
 LINEAR_TOLERANCE = 0.01
 MAX_LINEAR_ITERATIONS = 40
-# The same where strands are free, as what is left is momentum lost; and where ties are stiff between strands, as the
-# preconditioner hardly sees their common motion.
+# The same where strands are free, as what is left is momentum lost; and where ties are stiff between strands, as
+# the preconditioner hardly sees their common motion.
 FREE_TOLERANCE, TIED_TOLERANCE, MAX_TIED_ITERATIONS = 1e-5, 1e-10, 400
 # A pass that moves no node further than this part of a segment leaves contact forces that are worth holding.
 CALM = 0.003

@@ -113,12 +113,15 @@ def elimination(real: type, coupled: bool = False) -> wp.Function:
                 inverse_next = scratch.inverse_length[base + vertex * stride]
                 t_next = scratch.tangent[base + vertex * stride]
                 m_next = scratch.director[base + vertex * stride]
-                if vertex > free:
-                    here = joint(
-                        t, inverse, t_next, inverse_next, m, m_next, scratch.twist[base + vertex * stride],
-                        rods.bend[first + vertex], rods.twist[first + vertex], rods.rest_curvature[first + vertex],
-                        rods.rest_twist[first + vertex], beta,
-                    )  # fmt: skip
+                bend = rods.bend[first + vertex]
+                twist = rods.twist[first + vertex]
+                if vertex <= free:
+                    bend = zero
+                    twist = zero
+                here = joint(
+                    t, inverse, t_next, inverse_next, m, m_next, scratch.twist[base + vertex * stride],
+                    bend, twist, rods.rest_curvature[first + vertex], rods.rest_twist[first + vertex], beta,
+                )  # fmt: skip
                 # Primal-dual stretch: the geometric part follows the dual tension, the force the true strain.
                 inverse_rest = rods.inverse_rest_length[first + vertex]
                 pull, slope = tension(length * inverse_rest - one, ea, ea_beyond)
