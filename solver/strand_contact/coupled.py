@@ -206,7 +206,7 @@ class StrandContact:
         """Whether strands go through each other between the substep's start and `position`."""
         wp.copy(self._position, position)
         self._find_again(*self._surfaces)
-        self._locate()
+        self._locate_all()
         return bool(self._meetings.crossing.numpy()[: self.pairs.count].any())
 
     def commit(self) -> None:
@@ -331,16 +331,17 @@ class StrandContact:
     def _locate_all(self) -> None:
         """Where pairs and ties are now."""
         self._locate()
+        taking_part = self._meetings.stiffness.numpy()[: self.pairs.count] > 0.0
+        self._part = np.flatnonzero(taking_part).astype(np.int32)
+        part = wp.array(self._part, dtype=wp.int32, device=self._launcher.device)
+        self._pushing = [part, self._friction, self._start, self._position]
         if self.ties is not None:
             self.ties.measure()
 
     def _press(self) -> Callable[[], None]:
         """Forces and stiffnesses of pairs that take part, at their nodes; what makes images of directions."""
         launcher, meetings = self._launcher, self._meetings
-        device, count = launcher.device, self.pairs.count
-        self._part = np.flatnonzero(meetings.stiffness.numpy()[:count]).astype(np.int32)
-        part = wp.array(self._part, dtype=wp.int32, device=device)
-        self._pushing = [part, self._friction, self._start, self._position]
+        device = launcher.device
         launcher.launch(press, len(self._part), self._pushing, [meetings], work_per_item=PAIR_WORK)
         act = self._part[meetings.acts.numpy()[self._part] > 0]
         edges = meetings.edges.numpy()[act].ravel()
