@@ -405,20 +405,21 @@ class StrandContact:
     def _settled(self) -> bool:
         """Whether the last pass has changed little, and nothing is out of place."""
         count, meetings = self.pairs.count, self._meetings
-        if meetings.crossing.numpy()[:count].any() or not self._tied():
-            return False
         gap, allowed = meetings.gap.numpy()[:count], meetings.slack.numpy()[:count]
         under = (gap < -allowed) | ((gap > allowed) & (meetings.pressure.numpy()[:count] > 0.0))
-        return not under.any() and self._largest(self._furthest) <= SETTLED
+        return self._at_an_end() and not under.any()
 
     def _harmless(self) -> bool:
         """Whether what the last pass left out of place, it left outside of each other."""
-        if not self._tied():
-            return False
         count, meetings = self.pairs.count, self._meetings
-        if meetings.crossing.numpy()[:count].any() or self._largest(self._furthest) > SETTLED:
-            return False
-        return bool((meetings.gap.numpy()[:count] >= -DEEPEST * meetings.slack.numpy()[:count]).all())
+        near_enough = meetings.gap.numpy()[:count] >= -DEEPEST * meetings.slack.numpy()[:count]
+        return self._at_an_end() and bool(near_enough.all())
+
+    def _at_an_end(self) -> bool:
+        """Whether every strand was solved, hardly moves, has gone through none and keeps to what it is tied to."""
+        solved = self._definite.numpy()[: self._count].all()
+        through = self._meetings.crossing.numpy()[: self.pairs.count].any()
+        return bool(solved and not through and self._tied() and self._largest(self._furthest) <= SETTLED)
 
     def _tied(self) -> bool:
         return self.ties is None or self.ties.hold_exactly
