@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from plait.solver.strand_contact.edge_box_kernels import Boxes, Edges, may_meet_itself
+from plait.solver.strand_contact.crossing_kernels import distance_of_edges
+from plait.solver.strand_contact.edge_box_kernels import Boxes, Edges, Motion, may_meet_itself
 
 wp.set_module_options({"enable_backward": False})
 
@@ -188,6 +189,7 @@ class Search:
     entries: Entries
     start: wp.array(dtype=wp.vec3d)  # (node_count,) [m]
     end: wp.array(dtype=wp.vec3d)
+    motion: Motion
     node_count: int
 
 
@@ -235,6 +237,42 @@ def gather_candidates(search: Search, a: int, first: int, last: int, list_out: w
 
 
 @wp.func
+def come_near(search: Search, a: int, b: int) -> bool:
+    """Whether two edges may come within their reaches and the margin while their nodes move.
+
+    Seen in the moving frame, their distance changes by no more than their ends move against each other.
+    """
+    motion = search.motion
+    a0 = search.start[a] - motion.from_
+    a1 = search.start[a + 1] - motion.from_
+    b0 = search.start[b] - motion.from_
+    b1 = search.start[b + 1] - motion.from_
+    c0 = motion.turn_back * (search.end[a] - motion.to)
+    c1 = motion.turn_back * (search.end[a + 1] - motion.to)
+    d0 = motion.turn_back * (search.end[b] - motion.to)
+    d1 = motion.turn_back * (search.end[b + 1] - motion.to)
+    u0 = c0 - a0
+    u1 = c1 - a1
+    v0 = d0 - b0
+    v1 = d1 - b1
+    fastest = wp.sqrt(
+        wp.max(
+            wp.max(wp.length_sq(u0 - v0), wp.length_sq(u0 - v1)),
+            wp.max(wp.length_sq(u1 - v0), wp.length_sq(u1 - v1)),
+        )
+    )
+    limit = motion.widen * (search.edges.reach[a] + search.edges.reach[b] + wp.float64(2.0) * motion.margin)
+    if motion.bulge > wp.float64(0.0):
+        limit += motion.bulge * wp.max(wp.length(u0), wp.length(u1)) + motion.bulge * wp.max(
+            wp.length(v0), wp.length(v1)
+        )
+    at_start = distance_of_edges(a0, a1, b0, b1)
+    if at_start - fastest > limit:
+        return False
+    return at_start + distance_of_edges(c0, c1, d0, d1) - fastest <= wp.float64(2.0) * limit
+
+
+@wp.func
 def keep_partners(search: Search, a: int, first: int, count: int, list_out: wp.array(dtype=wp.int32)) -> int:
     """How many of `count` candidates behind edge a are its partners; sorts them to the front."""
     end = search.edges.first_node[search.edges.strand[a] + 1]
@@ -247,7 +285,7 @@ def keep_partners(search: Search, a: int, first: int, count: int, list_out: wp.a
             meets = b > a + 1 and may_meet_itself(search.edges, search.start, search.end, a, b)
         elif prescribed:
             meets = search.edges.prescribed[b] == 0
-        if meets:
+        if meets and come_near(search, a, b):
             slot = int(kept)
             while slot > first and list_out[slot - 1] > b:
                 list_out[slot] = list_out[slot - 1]

@@ -57,8 +57,8 @@ class EdgePairs:
     """Pairs of edges, a before b, that may come near each other while nodes move linearly from start to end.
 
     Every pair of edges that at any time of that motion is nearer than reach_a + reach_b + margin is found, and
-    none whose swept boxes, so padded and seen in a frame that moves with the strands, are apart (to 1 / 2^14 of
-    the strands' extent); a common motion, however large, costs nothing. An edge's reach is its nodes' larger one.
+    none that stays further apart however its ends move against each other, seen in a frame that moves with the
+    strands; a common motion, however large, costs nothing. An edge's reach is its nodes' larger one.
     No pairs are:
     - edges next to each other in their strand, and those with less strand than reach_a + reach_b between them;
     - edges of one strand that stays nearly straight from the one to the other (`straight`);
@@ -131,7 +131,7 @@ class EdgePairs:
             self._clear()
             return False
         search = Search()
-        search.edges, search.start, search.end = self._edges, start, end
+        search.edges, search.start, search.end, search.motion = self._edges, start, end, motion
         search.entries, search.node_count = self._enter(self._lay_columns(near), near), self._node_count
         return self._collect(search)
 
