@@ -152,7 +152,7 @@ def test_only_strands_in_reach_have_pairs():
     strands[3] = np.stack([0.1 - 0.025 + s, 0.0 * s + 5e-4, 0.0 * s + 0.0272], axis=1)
     layout = layout_of(strands)
     pairs = edge_pairs(layout)
-    listed = found(pairs, layout.position, layout.position, margin=3e-3)
+    listed = found(pairs, layout.position, layout.position, margin=1e-3)
     assert np.flatnonzero(pairs.near).tolist() == [2, 3] and 1 <= len(listed) <= 4
 
 
