@@ -190,6 +190,7 @@ class Search:
     start: wp.array(dtype=wp.vec3d)  # (node_count,) [m]
     end: wp.array(dtype=wp.vec3d)
     motion: Motion
+    near_only: bool  # only those of pairs whose boxes overlap that may come near by their own distance
     node_count: int
 
 
@@ -285,7 +286,9 @@ def keep_partners(search: Search, a: int, first: int, count: int, list_out: wp.a
             meets = b > a + 1 and may_meet_itself(search.edges, search.start, search.end, a, b)
         elif prescribed:
             meets = search.edges.prescribed[b] == 0
-        if meets and come_near(search, a, b):
+        if meets and search.near_only:
+            meets = come_near(search, a, b)
+        if meets:
             slot = int(kept)
             while slot > first and list_out[slot - 1] > b:
                 list_out[slot] = list_out[slot - 1]

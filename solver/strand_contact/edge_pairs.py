@@ -79,14 +79,17 @@ class EdgePairs:
         reach: np.ndarray,
         prescribed: np.ndarray | None = None,
         straight: float = STRAIGHT,
+        near_only: bool = True,
     ) -> None:
         """reach: (node_count,) [m] half distances: edges interact below the sum of theirs.
 
         prescribed: (node_count,) bool, nodes that nothing moves; None: ghosts and roots.
         straight: chord over drawn length, from the outer ends of two edges of a strand, from which on they are no
         pair; infinite: all are.
+        near_only: without, all pairs whose swept boxes overlap.
         """
         self._launcher = launcher
+        self._near_only = near_only
         self._first_node = layout.first_node
         self._node_count, self._strand_count = layout.node_count, layout.strand_count
         self._edges = self._hold_edges(layout, reach, prescribed)
@@ -132,6 +135,7 @@ class EdgePairs:
             return False
         search = Search()
         search.edges, search.start, search.end, search.motion = self._edges, start, end, motion
+        search.near_only = self._near_only
         search.entries, search.node_count = self._enter(self._lay_columns(near), near), self._node_count
         return self._collect(search)
 

@@ -27,7 +27,9 @@ class MissedCollisions:
     def __init__(self, launcher: Launcher, layout: Layout) -> None:
         self._launcher = launcher
         nowhere = np.zeros(layout.node_count)
-        self._edge_pairs = EdgePairs(launcher, layout, nowhere, prescribed=nowhere > 0.0, straight=np.inf)
+        self._edge_pairs = EdgePairs(
+            launcher, layout, nowhere, prescribed=nowhere > 0.0, straight=np.inf, near_only=False
+        )
         self.pairs = np.zeros((0, 2), dtype=np.int32)
 
     def count(self, start: wp.array, end: wp.array) -> int:
