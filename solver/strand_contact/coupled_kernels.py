@@ -158,8 +158,12 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         krylov: Krylov,
         product_out: wp.array(dtype=wp.float64),
         definite_out: wp.array(dtype=wp.int32),
+        left_out: wp.array(dtype=wp.float64),
     ):
-        """Factors each strand's own matrix; the first direction, M^-1 r, and r . M^-1 r, one entry an item."""
+        """Factors each strand's own matrix; the first direction, M^-1 r, and r . M^-1 r, one entry an item.
+
+        left_out: (strand_count,) longest displacement in M^-1 r, over the strand's segments.
+        """
         item = first + wp.tid()
         strand = strands[item]
         base = rods.first_node[strand]
@@ -176,8 +180,10 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         definite_out[item] = wp.where(definite, 1, 0)
         product = wp.float64(0.0)
         free = rods.free[strand]
+        left_out[strand] = wp.float64(0.0)
         if definite:
-            substitute(rods, scratch, strand, base, 1)
+            furthest, turn = substitute(rods, scratch, strand, base, 1)
+            left_out[strand] = wp.float64(furthest / rods.segment[strand])
             for k in range(1 - free, count - 1):
                 r = scratch.right[base + k]
                 z = scratch.solution[base + k]

@@ -21,6 +21,8 @@ wp.set_module_options({"enable_backward": False})
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 TWO = wp.constant(wp.float64(2.0))
+# Strands steady by so much of a segment let contacts keep their places.
+STEADY = wp.constant(wp.float64(0.2))
 # Contacts may be nearer, or press from further, by this part of the distance that two of the thinner would keep.
 OVERLAP = wp.constant(wp.float64(0.1))
 # What two strands nearer than their distance to keep are asked to regain of it in a substep.
@@ -29,6 +31,13 @@ REGAINED = wp.constant(wp.float64(0.2))
 LEFT = wp.constant(wp.float64(0.1))
 # Stiffness of a contact over that of the nodes it holds.
 STIFFER = wp.constant(wp.float64(10.0))
+# After so many passes contacts may be so many times as near as they otherwise may.
+DEEPEST = wp.constant(wp.float64(5.0))
+# Faults of a pair: its edges have gone through each other; are nearer than they may, or press from too far; are far
+# nearer than they may.
+CROSSING = wp.constant(1)
+OUT_OF_PLACE = wp.constant(2)
+DEEP = wp.constant(4)
 # Contacts of which each edge remembers the forces for the next substep, the largest of them.
 HELD_AN_EDGE = wp.constant(4)
 
@@ -44,7 +53,7 @@ class Meetings:
     target: wp.array(dtype=wp.float64)  # [m] distance to keep
     gap: wp.array(dtype=wp.float64)  # [m] distance beyond that
     slack: wp.array(dtype=wp.float64)  # [m] by which a gap may be wrong
-    crossing: wp.array(dtype=wp.int32)  # 1: the edges have gone through each other
+    fault: wp.array(dtype=wp.int32)  # of CROSSING, OUT_OF_PLACE and DEEP, added
     stiffness: wp.array(dtype=wp.float64)  # [N/m] k; 0 where the pair takes no part
     pressure: wp.array(dtype=wp.float64)  # [N] held
     traction: wp.array(dtype=wp.vec3d)  # [N] held
@@ -105,6 +114,7 @@ def recall(first: int, start: wp.array(dtype=wp.vec3d), held: Held, meetings: Me
             traction = held.traction[slot]
     meetings.pressure[item] = pressure
     meetings.traction[item] = traction
+    meetings.acts[item] = 0
 
 
 @wp.kernel
@@ -149,13 +159,19 @@ def locate(
     first: int,
     reach: wp.array(dtype=wp.float64),
     stiffness: wp.array(dtype=wp.float64),
+    strand: wp.array(dtype=wp.int32),
+    moved: wp.array(dtype=wp.float64),
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
     meetings: Meetings,
 ):
     """Where a pair of edges that go from `start` to `x` touch or come nearest, and its gap; one pair an item.
 
+    What pushes keeps its place and normal once its strands hardly move: points of nearly parallel edges would go to
+    and fro.
+
     reach: (node_count,) [m], half of the distance to keep.  stiffness: (node_count,) [N/m] of the nodes.
+    strand: (node_count,) of each node.  moved: (strand_count,) each strand's last move over its segments.
     """
     item = first + wp.tid()
     a = meetings.edges[item][0]
@@ -173,23 +189,22 @@ def locate(
     clear = wp.max(wp.max(lower), wp.max(upper))
     if clear > wp.max(reach[a], reach[a + 1]) + wp.max(reach[b], reach[b + 1]):
         # Their boxes are: most pairs.
-        meetings.crossing[item] = 0
+        meetings.fault[item] = 0
         meetings.gap[item] = clear
         meetings.slack[item] = clear
         rest(meetings, item)
         return
     apart = meetings.apart[item]
     before = wp.length(apart)
-    crossing = wp.int32(0)
+    fault = wp.int32(0)
     if may_cross(a0, a1, b0, b1, c0, c1, d0, d1):
         time = first_touch(a0, a1, b0, b1, c0, c1, d0, d1, LEFT * before)
         if time <= ONE:
-            crossing = 1
+            fault = CROSSING
             c0 = a0 + time * (c0 - a0)
             c1 = a1 + time * (c1 - a1)
             d0 = b0 + time * (d0 - b0)
             d1 = b1 + time * (d1 - b1)
-    meetings.crossing[item] = crossing
     place = closest_on_edges(c0, c1, d0, d1)
     s = place[0]
     t = place[1]
@@ -211,14 +226,22 @@ def locate(
         held = ZERO
         gap = wp.max(gap, ZERO)
         rest(meetings, item)
-    meetings.place[item] = wp.vec2d(s, t)
-    meetings.normal[item] = normal
-    meetings.target[item] = target
-    meetings.stiffness[item] = held
-    meetings.slack[item] = OVERLAP * wp.min(
+    slack = OVERLAP * wp.min(
         target, TWO * wp.min((ONE - s) * reach[a] + s * reach[a + 1], (ONE - t) * reach[b] + t * reach[b + 1])
     )
+    keeps = meetings.acts[item] != 0 and fault == 0 and held > ZERO and gap >= -slack
+    if not keeps or wp.max(moved[strand[a]], moved[strand[b]]) > STEADY:
+        meetings.place[item] = wp.vec2d(s, t)
+        meetings.normal[item] = normal
+        meetings.target[item] = target
+        meetings.stiffness[item] = held
+    if gap < -slack:
+        fault += OUT_OF_PLACE
+    if gap < -DEEPEST * slack:
+        fault += DEEP
+    meetings.slack[item] = slack
     meetings.gap[item] = gap
+    meetings.fault[item] = fault
 
 
 @wp.struct
@@ -273,27 +296,30 @@ def push(
 @wp.kernel
 def press(
     first: int,
-    part: wp.array(dtype=wp.int32),
     friction: wp.array(dtype=wp.float64),
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
     meetings: Meetings,
 ):
-    """Force and stiffness at `x` of the pairs that take part; one an item.
+    """Force and stiffness at `x` of each pair; one an item. What presses from too far is out of place.
 
     friction: (node_count,) Coulomb coefficient; a pair's is the mean of both.
     """
-    item = part[first + wp.tid()]
+    item = first + wp.tid()
+    if meetings.stiffness[item] == ZERO:
+        meetings.acts[item] = 0
+        return
     pushed = push(friction, start, x, meetings, item)
     meetings.acts[item] = wp.where(pushed.pressure > ZERO, 1, 0)
     meetings.force[item] = pushed.pressure * meetings.normal[item] + pushed.traction
     meetings.block[item] = pushed.block
+    if pushed.pressure > ZERO and meetings.gap[item] > meetings.slack[item]:
+        meetings.fault[item] = meetings.fault[item] | OUT_OF_PLACE
 
 
 @wp.kernel
 def hold(
     first: int,
-    part: wp.array(dtype=wp.int32),
     friction: wp.array(dtype=wp.float64),
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
@@ -302,13 +328,15 @@ def hold(
     calm: wp.float64,
     meetings: Meetings,
 ):
-    """Holds the force at `x` of pairs that take part from now on, if neither strand has moved beyond `calm`.
+    """Holds the force at `x` of a pair from now on, if neither strand has moved beyond `calm`; one an item.
 
     Or if there is less of it: what has parted presses no more.
 
     strand: (node_count,) of each node.  furthest: (strand_count,) each strand's last move.
     """
-    item = part[first + wp.tid()]
+    item = first + wp.tid()
+    if meetings.stiffness[item] == ZERO:
+        return
     edges = meetings.edges[item]
     pushed = push(friction, start, x, meetings, item)
     if wp.max(furthest[strand[edges[0]]], furthest[strand[edges[1]]]) > calm:

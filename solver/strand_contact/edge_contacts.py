@@ -1,0 +1,211 @@
+"""Contacts between edges of strands in a substep, their geometry and forces: host side."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from plait.solver.model import Model
+from plait.solver.state import State
+from plait.solver.strand_contact.acting_kernels import count_acting, list_acting
+from plait.solver.strand_contact.edge_pairs import EdgePairs
+from plait.solver.strand_contact.meeting_kernels import (
+    CROSSING,
+    HELD_AN_EDGE,
+    OUT_OF_PLACE,
+    Held,
+    Meetings,
+    expect,
+    hold,
+    locate,
+    press,
+    recall,
+    remember,
+)
+from plait.solver.strands.layout import Layout
+
+# Costs of an item in units of `Launcher.launch`.
+PAIR_WORK, LOCATE_WORK, LIST_WORK = 2, 6, 3
+MEETING_ARRAYS = {
+    "apart": wp.vec3d,
+    "place": wp.vec2d,
+    "normal": wp.vec3d,
+    "target": wp.float64,
+    "gap": wp.float64,
+    "slack": wp.float64,
+    "fault": wp.int32,
+    "stiffness": wp.float64,
+    "pressure": wp.float64,
+    "traction": wp.vec3d,
+    "acts": wp.int32,
+    "force": wp.vec3d,
+    "block": wp.mat33d,
+    "answer": wp.vec3d,
+    "answer_back": wp.vec3d,
+}
+
+
+class EdgeContacts:
+    """Pairs of edges that may meet in a substep, where they touch, and what they do to each other.
+
+    State arrays, HELD_AN_EDGE slots an edge: strand_contact/other, pressure, traction of contacts that last.
+
+    pairs: the pairs of edges.  meetings: what is known of each.
+    acting: (acting_count,) int32 pairs that push.  incident_first, incident: those of each edge, as in `EdgePairs`.
+    widest: [m] the largest distance that strands keep.
+    """
+
+    def __init__(self, model: Model, state: State, layout: Layout) -> None:
+        self._launcher, self._layout, device = model.launcher, layout, model.launcher.device
+        thickness = [
+            np.full(last - first, strands.thickness)
+            for strands, first, last in zip(
+                model.scene.strands, layout.prim_strands[:-1], layout.prim_strands[1:], strict=True
+            )
+        ]
+        reach = layout.radius + 0.5 * np.concatenate(thickness)[layout.node_strand]
+        # Roots may be as near as they grow.
+        tapered = reach.copy()
+        tapered[layout.prescribed] = 0.0
+        self._reach = wp.array(tapered, dtype=wp.float64, device=device)
+        self._friction = wp.array(layout.friction[layout.node_strand], dtype=wp.float64, device=device)
+        self._strand = wp.array(layout.node_strand, dtype=wp.int32, device=device)
+        self.widest = 2.0 * float(reach.max())
+        self.pairs = EdgePairs(model.launcher, layout, reach, layout.prescribed)
+        slots = layout.node_count * int(HELD_AN_EDGE)
+        self._held = _allocate_held(slots, device)
+        for name in ("other", "pressure", "traction"):
+            state.arrays[f"strand_contact/{name}"] = getattr(self._held, name)
+        self._kept: Held | None = None
+        self._room = -1
+
+    # -- which pairs ---------------------------------------------------------------------------------------
+
+    def find(self, held: Any, result: Any, length: float, margin: float) -> tuple[bool, wp.array]:
+        """Whether any edges may meet in a substep of `length` [s]; and where nodes were expected.
+
+        held, result: the state at the start, and where strands would go by themselves. What was in contact is
+        expected where its velocity leads, not where it would fall to.
+        """
+        expected = result.position
+        touching = (self._held.other.numpy() >= 0).reshape(-1, int(HELD_AN_EDGE)).any(axis=1)
+        edges = np.flatnonzero(touching)
+        if len(edges):
+            self._allocate()
+            others = self._held.other.numpy().reshape(-1, int(HELD_AN_EDGE))[edges]
+            strand = self._layout.node_strand
+            lasting = np.zeros(self._layout.strand_count, dtype=np.int32)
+            lasting[strand[edges]] = 1
+            lasting[strand[others[others >= 0]]] = 1
+            flags = wp.array(lasting, dtype=wp.int32, device=self._launcher.device)
+            inputs = [flags, self._strand, held.position, held.velocity, wp.float64(length), result.position]
+            self._launcher.launch(expect, self._layout.node_count, inputs, [self._sought])
+            expected = self._sought
+        return self.pairs.find(held.position, expected, margin), expected
+
+    def find_again(self, start: wp.array, places: np.ndarray, margin: float) -> tuple[bool, wp.array]:
+        """The same towards `places`, (node_count, 3) [m]; forces are kept."""
+        self._allocate()
+        self._remember(self._kept)
+        self._sought.assign(places)
+        return self.pairs.find(start, self._sought, margin), self._sought
+
+    def recall(self, start: wp.array, *, within: bool = False) -> None:
+        """Begins with the pairs last found, with the forces that they had; within: earlier in this substep."""
+        self._allocate()
+        self._hold_pairs()
+        inputs = [start, self._kept if within else self._held]
+        self._launch(recall, inputs, PAIR_WORK)
+
+    def forget(self) -> None:
+        """There are no contacts."""
+        self._held.other.fill_(-1)
+
+    def commit(self, start: wp.array, position: wp.array, moved: wp.array) -> None:
+        """Forces at `position` are those to go on from."""
+        self._launch(hold, [self._friction, start, position, self._strand, moved, wp.float64(np.inf)], PAIR_WORK)
+        self._remember(self._held)
+
+    def _remember(self, forces: Held) -> None:
+        inputs = [self.pairs.first, self.pairs.incident, self._meetings]
+        self._launcher.launch(remember, self._layout.node_count - 1, inputs, [forces], work_per_item=PAIR_WORK)
+
+    # -- where and how they touch --------------------------------------------------------------------------
+
+    def locate(self, stiffness: wp.array, moved: wp.array, start: wp.array, position: wp.array) -> None:
+        """Where pairs touch on their way from `start` to `position`.
+
+        stiffness: (node_count,) [N/m] of nodes.  moved: (strand_count,) each strand's last step over its segments.
+        """
+        self._launch(locate, [self._reach, stiffness, self._strand, moved, start, position], LOCATE_WORK)
+
+    def hold(self, start: wp.array, position: wp.array, moved: wp.array, calm: float) -> None:
+        """Contacts that are out of place hold the force that they have, where strands have `moved` less than `calm`.
+
+        moved: (strand_count,) each strand's last step over its segments.
+        """
+        self._launch(hold, [self._friction, start, position, self._strand, moved, wp.float64(calm)], PAIR_WORK)
+
+    def press(self, start: wp.array, position: wp.array) -> None:
+        """Forces and stiffnesses at `position`; lists what acts."""
+        self._launch(press, [self._friction, start, position], PAIR_WORK)
+        launcher, edges = self._launcher, self._layout.node_count - 1
+        pairs, acts = self.pairs, self._meetings.acts
+        inputs = [pairs.first, pairs.incident, acts]
+        counts = [self._counts, self._leading_counts]
+        launcher.launch(count_acting, edges, inputs, counts, work_per_item=LIST_WORK)
+        wp.utils.array_scan(self._counts, self.incident_first, inclusive=False)
+        wp.utils.array_scan(self._leading_counts, self._leading_first, inclusive=False)
+        self.acting_count = int(self._leading_first[-1:].numpy()[0])
+        inputs += [self.incident_first, self._leading_first]
+        launcher.launch(list_acting, edges, inputs, [self.incident, self.acting], work_per_item=LIST_WORK)
+
+    def faults(self) -> np.ndarray:
+        """(pair_count,) int32, of CROSSING, OUT_OF_PLACE and DEEP, added; after `press`."""
+        return self.meetings.fault.numpy()[: self.pairs.count]
+
+    def crossing(self) -> np.ndarray:
+        """(n, 2) edges that have gone through each other; after `locate`."""
+        return self.pairs.pairs.numpy()[: self.pairs.count][(self.faults() & int(CROSSING)) > 0]
+
+    # -- room ----------------------------------------------------------------------------------------------
+
+    def _launch(self, kernel: wp.Kernel, inputs: list[Any], work: int) -> None:
+        self._launcher.launch(kernel, self.pairs.count, inputs, [self._meetings], work_per_item=work)
+
+    @property
+    def meetings(self) -> Meetings:
+        return self._meetings
+
+    def _allocate(self) -> None:
+        """What contacts need, once there may be any."""
+        if self._kept is not None:
+            return
+        device, nodes = self._launcher.device, self._layout.node_count
+        self._kept = _allocate_held(nodes * int(HELD_AN_EDGE), device)
+        self._sought = wp.zeros(nodes, dtype=wp.vec3d, device=device)
+        self._counts, self._leading_counts, self.incident_first, self._leading_first = (
+            wp.zeros(nodes + 1, dtype=wp.int32, device=device) for _ in range(4)
+        )
+
+    def _hold_pairs(self) -> None:
+        """Room for as many meetings as there are pairs."""
+        count, device = self.pairs.count, self._launcher.device
+        if count > self._room:
+            self._room = 5 * count // 4
+            self._meetings = Meetings()
+            for name, dtype in MEETING_ARRAYS.items():
+                setattr(self._meetings, name, wp.zeros(self._room, dtype=dtype, device=device))
+            self.acting = wp.zeros(self._room, dtype=wp.int32, device=device)
+            self.incident = wp.zeros(2 * self._room, dtype=wp.int32, device=device)
+        self._meetings.edges = self.pairs.pairs
+
+
+def _allocate_held(slots: int, device: wp.Device) -> Held:
+    held = Held()
+    held.other = wp.full(slots, -1, dtype=wp.int32, device=device)
+    held.pressure = wp.zeros(slots, dtype=wp.float64, device=device)
+    held.traction = wp.zeros(slots, dtype=wp.vec3d, device=device)
+    return held
