@@ -108,14 +108,14 @@ class StrandContact:
         self._meets, self._passes = meets, 0
         return meets or (self.ties is not None and self.ties.count > 0)
 
-    def begin(self, method: Any, held: Any, roots: Any) -> None:
-        """From the substep's start, `held`, for the strands found near each other."""
+    def begin(self, method: Any, held: Any, result: Any, roots: Any) -> None:
+        """From the substep's start, `held`, for the strands found near each other on their way to `result`."""
         if self._solve is None:
             self._solve = CoupledSolve(
                 self._launcher, self._layout, self._rods, self._real, self.contacts, self.ties
             )
         self._start, self._room_to_stray = held.position, self._margin
-        self._solve.begin(method, held, roots)
+        self._solve.begin(method, held, result, roots)
         self._solve.take(self._near)
         self.contacts.recall(self._start)
 

@@ -25,7 +25,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
     """Kernels `begin`, `gather`, `linearise`, `search`, `answer`, `image`, `descend`, `advance`, `finish`."""
     types = rod_types(real)
     strands_own = strand_kernels(real)
-    load, carry, aim = strands_own.load, strands_own.carry, strands_own.aim
+    load, carry, aim, load_guess = strands_own.load, strands_own.carry, strands_own.aim, strands_own.load_guess
     measure_edges, substitute = strands_own.newton.measure_edges, strands_own.newton.substitute
     measure_spin = strands_own.measure_spin
     advance_strand = strands_own.newton.advance
@@ -55,6 +55,8 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         rods: Rods,
         state: RodState,
         roots: Roots,
+        lasting: wp.array(dtype=wp.int32),
+        alone: RodState,
         scratch: Scratch,
         position_out: wp.array(dtype=wp.vec3d),
         stiffness_out: wp.array(dtype=wp.float64),
@@ -70,6 +72,8 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         turn = rotation * wp.transpose(state.root_rotation[strand])
         load(state, scratch, base, count, base, 1, root)
         carry(scratch, count, base, 1, turn, before, -before)
+        if lasting[strand] == 0:
+            load_guess(alone, scratch, base, count, base, 1, root)
         if rods.free[strand] == 0:
             # The clamp itself, exactly.
             scratch.position[base] = vec3(rotation * rods.ghost[strand])

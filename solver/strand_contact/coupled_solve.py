@@ -70,16 +70,17 @@ class CoupledSolve:
 
     # -- which strands -------------------------------------------------------------------------------------
 
-    def begin(self, method: Any, state: Any, roots: Any) -> None:
-        """A substep from `state`, without any strands yet."""
-        self._method, self._state, self._roots = method, state, roots
+    def begin(self, method: Any, state: Any, alone: Any, roots: Any) -> None:
+        """A substep from `state`, without any strands yet. alone: where strands would go by themselves."""
+        self._method, self._state, self._alone, self._roots = method, state, alone, roots
         self.strands = np.zeros(0, dtype=np.int32)
 
     def take(self, near: np.ndarray) -> None:
         """Strands flagged in `near`, (strand_count,) bool, take part too, and all are in play."""
         strands = np.flatnonzero(near).astype(np.int32)
         new = np.setdiff1d(strands, self.strands, assume_unique=True)
-        inputs = [self._hold(new), self._method, self._rods, self._state, self._roots, self._scratch]
+        inputs = [self._hold(new), self._method, self._rods, self._state, self._roots]
+        inputs += [self._contacts.lasting, self._alone, self._scratch]
         outputs = [self.position, self.stiffness, self._inertia]
         self._launcher.launch(self._kernels.begin, len(new), inputs, outputs, work_per_item=self._work)
         self.strands = np.union1d(self.strands, strands).astype(np.int32)

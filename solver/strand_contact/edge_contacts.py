@@ -54,6 +54,7 @@ class EdgeContacts:
 
     pairs: the pairs of edges.  meetings: what is known of each.
     acting: (acting_count,) int32 pairs that push.  incident_first, incident: those of each edge, as in `EdgePairs`.
+    lasting: (strand_count,) int32, 1: strands that were in contact when the substep began.
     widest: [m] the largest distance that strands keep.
     """
 
@@ -78,6 +79,7 @@ class EdgeContacts:
         self._held = _allocate_held(slots, device)
         for name in ("other", "pressure", "traction"):
             state.arrays[f"strand_contact/{name}"] = getattr(self._held, name)
+        self.lasting = wp.zeros(layout.strand_count, dtype=wp.int32, device=device)
         self._kept: Held | None = None
         self._room = -1
 
@@ -90,6 +92,7 @@ class EdgeContacts:
         expected where its velocity leads, not where it would fall to.
         """
         expected = result.position
+        self.lasting.zero_()
         touching = (self._held.other.numpy() >= 0).reshape(-1, int(HELD_AN_EDGE)).any(axis=1)
         edges = np.flatnonzero(touching)
         if len(edges):
@@ -99,8 +102,8 @@ class EdgeContacts:
             lasting = np.zeros(self._layout.strand_count, dtype=np.int32)
             lasting[strand[edges]] = 1
             lasting[strand[others[others >= 0]]] = 1
-            flags = wp.array(lasting, dtype=wp.int32, device=self._launcher.device)
-            inputs = [flags, self._strand, held.position, held.velocity, wp.float64(length), result.position]
+            self.lasting.assign(lasting)
+            inputs = [self.lasting, self._strand, held.position, held.velocity, wp.float64(length), result.position]
             self._launcher.launch(expect, self._layout.node_count, inputs, [self._sought])
             expected = self._sought
         return self.pairs.find(held.position, expected, margin), expected

@@ -441,6 +441,7 @@ def strand_kernels(real: type) -> SimpleNamespace:
         newton=newton,
         joint_energy=joint_energy,
         load=load,
+        load_guess=load_guess,
         carry=carry,
         aim=aim,
         measure_spin=measure_spin,

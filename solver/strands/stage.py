@@ -281,7 +281,7 @@ class StrandsStage:
         """Solves strands that meet together, and finds the planes in their way, in turns; whether that stands."""
         meetings, contact, held, result = self._meetings, self._contact, self._held, self._result
         free_strain = self._strain(result)
-        meetings.begin(self._method, held, self._roots())
+        meetings.begin(self._method, held, result, self._roots())
         planes = contact.planes if touching else self._no_planes
         for _ in range(self._model.settings.contact.passes):
             stands = meetings.solve(result, planes, touching, last_resort)
