@@ -198,7 +198,7 @@ def locate(
     before = wp.length(apart)
     fault = wp.int32(0)
     if may_cross(a0, a1, b0, b1, c0, c1, d0, d1):
-        time = first_touch(a0, a1, b0, b1, c0, c1, d0, d1, LEFT * before)
+        time = first_touch(a0, a1, b0, b1, c0, c1, d0, d1, LEFT * wp.min(before, reach[a] + reach[b]))
         if time <= ONE:
             fault = CROSSING
             c0 = a0 + time * (c0 - a0)
@@ -229,7 +229,7 @@ def locate(
     slack = OVERLAP * wp.min(
         target, TWO * wp.min((ONE - s) * reach[a] + s * reach[a + 1], (ONE - t) * reach[b] + t * reach[b + 1])
     )
-    keeps = meetings.acts[item] != 0 and fault == 0 and held > ZERO and gap >= -slack
+    keeps = meetings.acts[item] != 0 and fault == 0 and held > ZERO and wp.abs(gap) <= slack
     if not keeps or wp.max(moved[strand[a]], moved[strand[b]]) > STEADY:
         meetings.place[item] = wp.vec2d(s, t)
         meetings.normal[item] = normal
@@ -289,7 +289,7 @@ def push(
             else:
                 direction = traction / size
                 out.traction = bound * direction
-                out.block += (k * bound / size) * (across - wp.outer(direction, direction))
+                out.block += (k * bound / size) * across
     return out
 
 
