@@ -36,6 +36,7 @@ MEETING_ARRAYS = {
     "gap": wp.float64,
     "slack": wp.float64,
     "fault": wp.int32,
+    "turned": wp.int32,
     "stiffness": wp.float64,
     "pressure": wp.float64,
     "traction": wp.vec3d,

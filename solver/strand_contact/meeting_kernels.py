@@ -54,6 +54,7 @@ class Meetings:
     gap: wp.array(dtype=wp.float64)  # [m] distance beyond that
     slack: wp.array(dtype=wp.float64)  # [m] by which a gap may be wrong
     fault: wp.array(dtype=wp.int32)  # of CROSSING, OUT_OF_PLACE and DEEP, added
+    turned: wp.array(dtype=wp.int32)  # 1: the edges have been kept from going through each other
     stiffness: wp.array(dtype=wp.float64)  # [N/m] k; 0 where the pair takes no part
     pressure: wp.array(dtype=wp.float64)  # [N] held
     traction: wp.array(dtype=wp.vec3d)  # [N] held
@@ -115,6 +116,7 @@ def recall(first: int, start: wp.array(dtype=wp.vec3d), held: Held, meetings: Me
     meetings.pressure[item] = pressure
     meetings.traction[item] = traction
     meetings.acts[item] = 0
+    meetings.turned[item] = 0
 
 
 @wp.kernel
@@ -221,7 +223,7 @@ def locate(
     of_b = (ONE - t) * stiffness[b] + t * stiffness[b + 1]
     held = STIFFER * of_a * of_b / (of_a + of_b)
     gap = wp.dot(normal, along(x, a, s) - along(x, b, t)) - target
-    if wp.dot(normal, apart) <= ZERO:
+    if wp.dot(normal, apart) <= ZERO and meetings.turned[item] == 0:
         # On another side without having gone through: past an end, or a neighbour has. It is left to that.
         held = ZERO
         gap = wp.max(gap, ZERO)
@@ -229,8 +231,15 @@ def locate(
     slack = OVERLAP * wp.min(
         target, TWO * wp.min((ONE - s) * reach[a] + s * reach[a + 1], (ONE - t) * reach[b] + t * reach[b + 1])
     )
-    keeps = meetings.acts[item] != 0 and fault == 0 and held > ZERO and wp.abs(gap) <= slack
-    if not keeps or wp.max(moved[strand[a]], moved[strand[b]]) > STEADY:
+    keeps = meetings.acts[item] != 0 and held > ZERO and wp.abs(gap) <= slack
+    keeps = keeps and wp.max(moved[strand[a]], moved[strand[b]]) <= STEADY
+    if fault == CROSSING:
+        meetings.turned[item] = 1
+    elif meetings.turned[item] != 0:
+        keeps = True
+        offset = along(x, a, meetings.place[item][0]) - along(x, b, meetings.place[item][1])
+        gap = wp.dot(meetings.normal[item], offset) - meetings.target[item]
+    if fault == CROSSING or not keeps:
         meetings.place[item] = wp.vec2d(s, t)
         meetings.normal[item] = normal
         meetings.target[item] = target
