@@ -121,7 +121,7 @@ def attachment_kernels(real: type) -> SimpleNamespace:
         """Takes pairs of edges beside a tie out of contact; one pair an item."""
         pair = pairs[first + wp.tid()]
         meetings.stiffness[pair] = wp.float64(0.0)
-        meetings.crossing[pair] = 0
+        meetings.fault[pair] = 0
         meetings.gap[pair] = wp.float64(0.0)
 
     return SimpleNamespace(
