@@ -19,7 +19,7 @@ from plait.solver.strands.types import rod_types
 
 # Conjugate gradients end when the residual's norm under the preconditioner has fallen to this part, or when what
 # is left would move a strand by less than this part of a segment.
-LINEAR_TOLERANCE, SMALL = 0.01, 1e-3
+LINEAR_TOLERANCE, SMALL = 0.01, 5e-3
 MAX_LINEAR_ITERATIONS = 40
 # The same where strands are free, as what is left is momentum lost; and where ties are stiff between strands, as
 # the preconditioner hardly sees their common motion.
@@ -86,8 +86,8 @@ class CoupledSolve:
         self.strands = np.union1d(self.strands, strands).astype(np.int32)
         segment = self._layout.mean_segment[self.strands]
         stiffness = self.stiffness.numpy()[self._layout.first_node[self.strands + 1] - 2]
-        # Twice the energy of a move of all strands by SMALL segments under a point load.
-        self._enough = SMALL**2 * float(stiffness @ segment**2)
+        # Twice the energy of a move by SMALL segments under a point load, of the strand that has the least.
+        self._enough = SMALL**2 * float((stiffness * segment**2).min())
 
     def play(
         self, planes: ContactPlanes, constrained: bool, expected: wp.array, strands: np.ndarray | None = None
