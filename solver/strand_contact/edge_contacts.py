@@ -40,6 +40,8 @@ MEETING_ARRAYS = {
     "stiffness": wp.float64,
     "pressure": wp.float64,
     "traction": wp.vec3d,
+    "sliding": wp.vec3d,
+    "swings": wp.int32,
     "acts": wp.int32,
     "force": wp.vec3d,
     "block": wp.mat33d,

@@ -58,6 +58,8 @@ class Meetings:
     stiffness: wp.array(dtype=wp.float64)  # [N/m] k; 0 where the pair takes no part
     pressure: wp.array(dtype=wp.float64)  # [N] held
     traction: wp.array(dtype=wp.vec3d)  # [N] held
+    sliding: wp.array(dtype=wp.vec3d)  # direction of the traction of what slid in the last pass
+    swings: wp.array(dtype=wp.int32)  # 1: what slid one way in a pass slid the other way in the next
     acts: wp.array(dtype=wp.int32)  # 1: a force or stiffness there is
     force: wp.array(dtype=wp.vec3d)  # [N] on a
     block: wp.array(dtype=wp.mat33d)  # [N/m] its derivative by -p_a
@@ -117,6 +119,8 @@ def recall(first: int, start: wp.array(dtype=wp.vec3d), held: Held, meetings: Me
     meetings.traction[item] = traction
     meetings.acts[item] = 0
     meetings.turned[item] = 0
+    meetings.swings[item] = 0
+    meetings.sliding[item] = wp.vec3d()
 
 
 @wp.kernel
@@ -259,7 +263,8 @@ class Push:
 
     pressure: wp.float64  # [N]
     traction: wp.vec3d  # [N] on a
-    block: wp.mat33d  # [N/m] the force's derivative by -p_a
+    block: wp.mat33d  # [N/m] the force's derivative by -p_a, or more
+    sliding: wp.vec3d  # direction of the traction where b slides
 
 
 @wp.func
@@ -298,7 +303,10 @@ def push(
             else:
                 direction = traction / size
                 out.traction = bound * direction
+                out.sliding = direction
                 out.block += (k * bound / size) * across
+                if meetings.swings[item] == 0 and wp.dot(direction, meetings.sliding[item]) >= ZERO:
+                    out.block -= (k * bound / size) * wp.outer(direction, direction)
     return out
 
 
@@ -322,6 +330,9 @@ def press(
     meetings.acts[item] = wp.where(pushed.pressure > ZERO, 1, 0)
     meetings.force[item] = pushed.pressure * meetings.normal[item] + pushed.traction
     meetings.block[item] = pushed.block
+    if wp.dot(pushed.sliding, meetings.sliding[item]) < ZERO:
+        meetings.swings[item] = 1
+    meetings.sliding[item] = pushed.sliding
     if pushed.pressure > ZERO and meetings.gap[item] > meetings.slack[item]:
         meetings.fault[item] = meetings.fault[item] | OUT_OF_PLACE
 
