@@ -101,8 +101,16 @@ def attachment_kernels(real: type) -> SimpleNamespace:
         scratch.meeting_gradient[node] = scratch.meeting_gradient[node] - vec3(force)
 
     @kernel
-    def image(first: int, ties: Ties, ends: Ends, krylov: Krylov, product_out: wp.array(dtype=wp.float64)):
-        """Adds what ties do between strands to the direction's image; their product, one entry a node."""
+    def image(
+        first: int,
+        ties: Ties,
+        ends: Ends,
+        scratch: Scratch,
+        krylov: Krylov,
+        product_out: wp.array(dtype=wp.float64),
+    ):
+        """Adds what ties do between strands, by what is new in the direction, to its image; the product of both,
+        one entry a node."""
         item = first + wp.tid()
         node = ends.node[item]
         pull = wp.vec3d()
@@ -110,7 +118,7 @@ def attachment_kernels(real: type) -> SimpleNamespace:
             tie = ends.tie[at]
             if ties.b[tie] >= 0:
                 other = wp.where(ends.side[at] == 0, ties.b[tie], ties.a[tie])
-                d = krylov.direction[other - 1]
+                d = scratch.solution[other - 1]
                 pull += ties.stiffness[tie] * wp.vec3d(vec3(d[1], d[2], d[3]))
         added = -vec4(real(0.0), real(pull[0]), real(pull[1]), real(pull[2]))
         krylov.image[node - 1] = krylov.image[node - 1] + added

@@ -145,7 +145,7 @@ class Attachments:
         self.hold = launcher.prepare(kernels.hold, self.count, [position], [ties])
         count = len(ends.node)
         self.gather = launcher.prepare(kernels.gather, count, [ties, ends], [scratch])
-        self._image = launcher.prepare(kernels.image, count, [ties, ends], [krylov, self._product])
+        self._image = launcher.prepare(kernels.image, count, [ties, ends, scratch], [krylov, self._product])
 
     def measure(self) -> None:
         """How far ties are from what they ask for; takes pairs of edges beside a tie out of contact."""

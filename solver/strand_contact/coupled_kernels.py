@@ -13,39 +13,37 @@ import warp as wp
 
 from plait.solver.contact.planes import ContactPlanes
 from plait.solver.strand_contact.meeting_kernels import Meetings
-from plait.solver.strands.blocks import block_functions
 from plait.solver.strands.contact import contact_functions
 from plait.solver.strands.elimination import elimination
 from plait.solver.strands.kernels import LARGEST_TURN, strand_kernels
+from plait.solver.strands.substitution import substitution
 from plait.solver.strands.types import coupled_module_name, rod_types
 
 
 @cache
 def coupled_kernels(real: type) -> SimpleNamespace:
-    """Kernels `begin`, `gather`, `linearise`, `search`, `answer`, `image`, `descend`, `advance`, `finish`."""
+    """Kernels `begin`, `gather`, `linearise`, `image`, `descend`, `advance`, `hold_back`, `finish`."""
     types = rod_types(real)
     strands_own = strand_kernels(real)
     load, carry, aim, load_guess = strands_own.load, strands_own.carry, strands_own.aim, strands_own.load_guess
-    measure_edges, substitute = strands_own.newton.measure_edges, strands_own.newton.substitute
+    measure_edges = strands_own.newton.measure_edges
     measure_spin = strands_own.measure_spin
     advance_strand = strands_own.newton.advance
     eliminate = elimination(real, coupled=True)
     release = contact_functions(real).release
-    forward = block_functions(real).forward
-    vec3, vec4, mat33 = types.vec3, types.vec4, types.mat33
+    solve, Krylov = substitution(real).solve, substitution(real).Krylov
+    vec2, vec3, vec4, mat33, mat44 = types.vec2, types.vec3, types.vec4, types.mat33, types.mat44
     Rods, RodState, Roots, Method, Scratch = types.Rods, types.RodState, types.Roots, types.Method, types.Scratch
     module = coupled_module_name(real)
     kernel = partial(wp.kernel, module=module, enable_backward=False)
-    structure = partial(wp.struct, module=module)
 
-    @structure
-    class Krylov:
-        """Of a linear solve, entry k of a strand its segment k: (turn, displacement of node k + 1)."""
+    @partial(wp.struct, module=module)
+    class Couplings:
+        """Pairs that act, from the side of each of their edges, in the order of `acting`."""
 
-        direction: wp.array(dtype=vec4)
-        own: wp.array(dtype=vec4)  # the direction's image under the strand's own matrix
-        image: wp.array(dtype=vec4)  # and under that of all
-        step: wp.array(dtype=vec4)
+        other: wp.array(dtype=wp.int32)  # the other edge
+        place: wp.array(dtype=vec2)  # where on the edge itself and on the other, 0 to 1
+        block: wp.array(dtype=mat33)  # [N/m] the force on the edge by the other's displacement
 
     @kernel
     def begin(
@@ -111,6 +109,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         meetings: Meetings,
         rods: Rods,
         scratch: Scratch,
+        couplings_out: Couplings,
     ):
         """What the forces and stiffnesses of its pairs are to a strand's nodes.
 
@@ -143,6 +142,9 @@ def coupled_kernels(real: type) -> SimpleNamespace:
                 between += (u * w) * block
                 force_here += u * force
                 force_next += w * force
+                couplings_out.other[at] = meetings.edges[pair][1 - side]
+                couplings_out.place[at] = vec2(real(w), real(meetings.place[pair][1 - side]))
+                couplings_out.block[at] = mat33(block)
             scratch.meeting_block[edge] = scratch.meeting_block[edge] + mat33(block_here)
             scratch.meeting_gradient[edge] = scratch.meeting_gradient[edge] - vec3(force_here)
             scratch.meeting_block[edge + 1] = mat33(block_next)
@@ -171,7 +173,6 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         item = first + wp.tid()
         strand = strands[item]
         base = rods.first_node[strand]
-        count = rods.first_node[strand + 1] - base
         # The exact Hessian where it is definite, else half, else none of its geometric part.
         definite = wp.bool(False)
         beta = real(1.0)
@@ -182,44 +183,24 @@ def coupled_kernels(real: type) -> SimpleNamespace:
             )  # fmt: skip
             beta -= real(0.5)
         definite_out[item] = wp.where(definite, 1, 0)
-        product = wp.float64(0.0)
-        free = rods.free[strand]
-        left_out[strand] = wp.float64(0.0)
-        if definite:
-            furthest, turn = substitute(rods, scratch, strand, base, 1)
-            left_out[strand] = wp.float64(furthest / rods.segment[strand])
-            for k in range(1 - free, count - 1):
-                r = scratch.right[base + k]
-                z = scratch.solution[base + k]
-                krylov.direction[base + k] = z
-                krylov.own[base + k] = r
-                krylov.step[base + k] = vec4()
-                product += wp.float64(wp.dot(r, z))
-        else:
-            for k in range(1 - free, count - 1):
-                scratch.right[base + k] = vec4()
-                krylov.direction[base + k] = vec4()
-                krylov.own[base + k] = vec4()
-                krylov.step[base + k] = vec4()
-        product_out[item] = product
-
-    @wp.func(module=module)
-    def displacement(direction: wp.array(dtype=vec4), edge: int, place: wp.float64):
-        """Of a point of an edge, whose nodes are the ends of segments edge - 1 and edge."""
-        d = direction[edge - 1]
-        e = direction[edge]
-        u = wp.float64(1.0) - place
-        return u * wp.vec3d(vec3(d[1], d[2], d[3])) + place * wp.vec3d(vec3(e[1], e[2], e[3]))
-
-    @kernel
-    def answer(first: int, acting: wp.array(dtype=wp.int32), meetings: Meetings, krylov: Krylov):
-        """What the edges of a pair that acts do to each other along the direction."""
-        pair = acting[first + wp.tid()]
-        edges = meetings.edges[pair]
-        place = meetings.place[pair]
-        block = meetings.block[pair]
-        meetings.answer[pair] = block * displacement(krylov.direction, edges[1], place[1])
-        meetings.answer_back[pair] = block * displacement(krylov.direction, edges[0], place[0])
+        begin = base + 1 - rods.free[strand]
+        end = rods.first_node[strand + 1] - 1
+        for slot in range(begin, end):
+            krylov.direction[slot] = vec4()
+            krylov.image[slot] = vec4()
+            krylov.step[slot] = vec4()
+            if not definite:
+                # It stays where it is.
+                scratch.right[slot] = vec4()
+                scratch.inverse[slot] = mat44()
+                scratch.left1[slot] = mat44()
+                scratch.left2[slot] = mat44()
+        product_out[item] = solve(rods, scratch, krylov, strand, real(0.0))
+        furthest = real(0.0)
+        for slot in range(begin, end):
+            z = scratch.solution[slot]
+            furthest = wp.max(furthest, z[1] * z[1] + z[2] * z[2] + z[3] * z[3])
+        left_out[strand] = wp.float64(wp.sqrt(furthest) / rods.segment[strand])
 
     @kernel
     def image(
@@ -227,31 +208,40 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         strands: wp.array(dtype=wp.int32),
         rods: Rods,
         acting_first: wp.array(dtype=wp.int32),
-        acting: wp.array(dtype=wp.int32),
-        meetings: Meetings,
+        couplings: Couplings,
+        scratch: Scratch,
+        beta: wp.array(dtype=wp.float64),
         krylov: Krylov,
         product_out: wp.array(dtype=wp.float64),
     ):
-        """The direction's image under the matrix of all strands, and their product, one entry an item."""
+        """The next direction, z and `beta` times the last; its image under the matrix of all strands likewise, as
+        that of z under the strand's own is r; the product of both, one entry an item."""
         item = first + wp.tid()
         strand = strands[item]
         base = rods.first_node[strand]
+        b = real(beta[0])
         product = wp.float64(0.0)
-        pull = wp.vec3d()  # on the node at which the edge begins
+        pull = vec3()  # on the node at which the edge begins
         for edge in range(base + 1, rods.first_node[strand + 1]):
-            pull_next = wp.vec3d()
+            pull_next = vec3()
             for at in range(acting_first[edge], acting_first[edge + 1]):
-                pair = acting[at] / 2
-                side = acting[at] % 2
-                w = meetings.place[pair][side]
-                answer = wp.where(side == 0, meetings.answer[pair], meetings.answer_back[pair])
-                pull += (wp.float64(1.0) - w) * answer
-                pull_next += w * answer
+                other = couplings.other[at]
+                place = couplings.place[at]
+                d = scratch.solution[other - 1]
+                e = scratch.solution[other]
+                moved = d + place[1] * (e - d)
+                answer = couplings.block[at] * vec3(moved[1], moved[2], moved[3])
+                there = place[0] * answer
+                pull += answer - there
+                pull_next += there
             if edge > base + 1 - rods.free[strand]:
                 slot = edge - 1
-                image = krylov.own[slot] - vec4(real(0.0), real(pull[0]), real(pull[1]), real(pull[2]))
+                own = scratch.right[slot]
+                direction = scratch.solution[slot] + b * krylov.direction[slot]
+                image = vec4(own[0], own[1] - pull[0], own[2] - pull[1], own[3] - pull[2]) + b * krylov.image[slot]
+                krylov.direction[slot] = direction
                 krylov.image[slot] = image
-                product += wp.float64(wp.dot(krylov.direction[slot], image))
+                product += wp.float64(wp.dot(direction, image))
             pull = pull_next
         product_out[item] = product
 
@@ -265,51 +255,9 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         krylov: Krylov,
         product_out: wp.array(dtype=wp.float64),
     ):
-        """Steps along the direction; what is left, r, and M^-1 r; their product, one entry an item."""
+        """Steps along the direction; what is left, r, and z = M^-1 r; their product, one entry an item."""
         item = first + wp.tid()
-        strand = strands[item]
-        base = rods.first_node[strand]
-        count = rods.first_node[strand + 1] - base
-        a = real(alpha[0])
-        free = rods.free[strand]
-        y1 = vec4()
-        y2 = vec4()
-        for k in range(1 - free, count - 1):
-            slot = base + k
-            krylov.step[slot] = krylov.step[slot] + a * krylov.direction[slot]
-            r = scratch.right[slot] - a * krylov.image[slot]
-            scratch.right[slot] = r
-            known = vec4()
-            if k >= 2 - free:
-                known = scratch.lower1[slot] * y1
-            if k >= 3 - free:
-                known += scratch.lower2[slot] * vec3(y2[1], y2[2], y2[3])
-            y = forward(scratch.factor[slot], r - known)
-            scratch.solution[slot] = y
-            y2 = y1
-            y1 = y
-        substitute(rods, scratch, strand, base, 1)
-        product = wp.float64(0.0)
-        for k in range(1 - free, count - 1):
-            product += wp.float64(wp.dot(scratch.right[base + k], scratch.solution[base + k]))
-        product_out[item] = product
-
-    @kernel
-    def search(
-        first: int,
-        strands: wp.array(dtype=wp.int32),
-        beta: wp.array(dtype=wp.float64),
-        rods: Rods,
-        scratch: Scratch,
-        krylov: Krylov,
-    ):
-        """The next direction."""
-        strand = strands[first + wp.tid()]
-        base = rods.first_node[strand]
-        b = real(beta[0])
-        for slot in range(base + 1 - rods.free[strand], rods.first_node[strand + 1] - 1):
-            krylov.direction[slot] = scratch.solution[slot] + b * krylov.direction[slot]
-            krylov.own[slot] = scratch.right[slot] + b * krylov.own[slot]
+        product_out[item] = solve(rods, scratch, krylov, strands[item], real(alpha[0]))
 
     @kernel
     def advance(
@@ -427,12 +375,11 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         begin=begin,
         gather=gather,
         linearise=linearise,
-        answer=answer,
         image=image,
         descend=descend,
-        search=search,
         advance=advance,
         hold_back=hold_back,
         finish=finish,
+        Couplings=Couplings,
         Krylov=Krylov,
     )

@@ -24,8 +24,8 @@ MAX_LINEAR_ITERATIONS = 40
 # The same where strands are free, as what is left is momentum lost; and where ties are stiff between strands, as
 # the preconditioner hardly sees their common motion.
 FREE_TOLERANCE, TIED_TOLERANCE, MAX_TIED_ITERATIONS = 1e-5, 1e-10, 400
-# Costs of an item in units of `Launcher.launch`.
-CONTACT_WORK, NODE_WORK = 4, 8
+# Cost of an item in units of `Launcher.launch`.
+NODE_WORK = 8
 
 
 class CoupledSolve:
@@ -53,7 +53,7 @@ class CoupledSolve:
         self._kernels = coupled_kernels(real)
         self._scratch = allocate_coupled_scratch(real, nodes, device)
         self._krylov = self._kernels.Krylov()
-        for name in ("direction", "own", "image", "step"):
+        for name in ("direction", "image", "step"):
             setattr(self._krylov, name, wp.zeros(nodes, dtype=rod_types(real).vec4, device=device))
         self.position = wp.zeros(nodes, dtype=wp.vec3d, device=device)
         self.stiffness = wp.zeros(nodes, dtype=wp.float64, device=device)
@@ -65,6 +65,7 @@ class CoupledSolve:
             wp.zeros(1, dtype=wp.float64, device=device) for _ in range(3)
         )
         self._definite = wp.zeros(strands, dtype=wp.int32, device=device)
+        self._couplings, self._room = self._kernels.Couplings(), -1
         self._work = NODE_WORK * max(1, nodes // strands)
         self.iterations = 0
 
@@ -95,7 +96,7 @@ class CoupledSolve:
         """Newton steps from now on are of `strands`, of all if None; the others stay where they are."""
         self._playing = self.strands if strands is None else strands
         if len(self._playing) < len(self.strands):
-            self._krylov.direction.zero_()
+            self._scratch.solution.zero_()
         self._count, self._active = len(self._playing), self._hold(self._playing)
         self._record(planes, constrained, expected)
 
@@ -116,7 +117,6 @@ class CoupledSolve:
         outputs = [krylov, self._product, self._definite, self.left]
         self._linearise = prepare(kernels.linearise, [*system, scratch], outputs)
         self._descend = prepare(kernels.descend, [active, self._alpha, rods], [scratch, krylov, self._product])
-        self._search = prepare(kernels.search, [active, self._beta, rods, scratch], [krylov])
         inputs = [*system, self._relaxation, krylov, scratch, expected]
         self._advance = prepare(kernels.advance, inputs, [self.position, self.moved, self.stray])
         if self._ties is not None:
@@ -130,19 +130,16 @@ class CoupledSolve:
         """Each strand's matrix and what is left to balance, with the contacts that press; what `left` then is."""
         contacts, launcher = self._contacts, self._launcher
         acting = [contacts.incident_first, contacts.incident, contacts.meetings]
+        self._hold_contacts(2 * contacts.acting_count)
         inputs = [self._active, *acting, self._rods]
-        self._launch(self._kernels.gather, inputs, [self._scratch])
+        self._launch(self._kernels.gather, inputs, [self._scratch, self._couplings])
         if self._ties is not None:
             self._ties.gather()
         self._linearise()
-        meeting = [contacts.acting, contacts.meetings]
-        self._answer = launcher.prepare(
-            self._kernels.answer, contacts.acting_count, meeting, [self._krylov], work_per_item=CONTACT_WORK
-        )
         self._image = launcher.prepare(
             self._kernels.image,
             self._count,
-            [self._active, self._rods, *acting],
+            [self._active, self._rods, acting[0], self._couplings, self._scratch, self._beta],
             [self._krylov, self._product],
             work_per_item=self._work,
         )
@@ -157,10 +154,10 @@ class CoupledSolve:
             enough = max(enough, self._enough)
         if self._ties is not None and self._ties.joins_strands:
             enough, iterations = TIED_TOLERANCE**2 * left, MAX_TIED_ITERATIONS
+        self._beta.zero_()
         for _ in range(iterations):
             if left <= enough:
                 break
-            self._answer()
             self._image()
             curvature = self._products()
             if self._ties is not None:
@@ -169,7 +166,6 @@ class CoupledSolve:
             self._descend()
             before, left = left, self._products()
             self._beta.fill_(left / before)
-            self._search()
             self.iterations += 1
         self._relaxation.fill_(relaxation)
         self._advance()
@@ -201,6 +197,14 @@ class CoupledSolve:
         inputs = [self._hold(self.strands), self._method, self._rods, self._roots, self._scratch, self.position]
         launch = self._launcher.launch
         launch(self._kernels.finish, len(self.strands), inputs, [result], work_per_item=self._work)
+
+    def _hold_contacts(self, count: int) -> None:
+        """Room for what `count` contacts do, each counted at both its edges."""
+        if count <= self._room:
+            return
+        types, self._room = rod_types(self._real), 5 * count // 4
+        for name, dtype in (("other", wp.int32), ("place", types.vec2), ("block", types.mat33)):
+            setattr(self._couplings, name, wp.zeros(self._room, dtype=dtype, device=self._launcher.device))
 
     def _launch(self, kernel: wp.Kernel, inputs: list[Any], outputs: list[Any]) -> None:
         self._launcher.launch(kernel, self._count, inputs, outputs, work_per_item=self._work)

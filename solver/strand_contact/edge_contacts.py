@@ -45,8 +45,6 @@ MEETING_ARRAYS = {
     "acts": wp.int32,
     "force": wp.vec3d,
     "block": wp.mat33d,
-    "answer": wp.vec3d,
-    "answer_back": wp.vec3d,
 }
 
 
@@ -106,7 +104,14 @@ class EdgeContacts:
             lasting[strand[edges]] = 1
             lasting[strand[others[others >= 0]]] = 1
             self.lasting.assign(lasting)
-            inputs = [self.lasting, self._strand, held.position, held.velocity, wp.float64(length), result.position]
+            inputs = [
+                self.lasting,
+                self._strand,
+                held.position,
+                held.velocity,
+                wp.float64(length),
+                result.position,
+            ]
             self._launcher.launch(expect, self._layout.node_count, inputs, [self._sought])
             expected = self._sought
         return self.pairs.find(held.position, expected, margin), expected

@@ -63,8 +63,6 @@ class Meetings:
     acts: wp.array(dtype=wp.int32)  # 1: a force or stiffness there is
     force: wp.array(dtype=wp.vec3d)  # [N] on a
     block: wp.array(dtype=wp.mat33d)  # [N/m] its derivative by -p_a
-    answer: wp.array(dtype=wp.vec3d)  # [N] that p_b's displacement causes on a, and
-    answer_back: wp.array(dtype=wp.vec3d)  # p_a's on b, in a linear solve
 
 
 @wp.struct

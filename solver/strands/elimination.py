@@ -19,6 +19,7 @@ from plait.solver.strands.blocks import block_functions
 from plait.solver.strands.contact import contact_functions
 from plait.solver.strands.energy import joint_functions
 from plait.solver.strands.stretch import stretch_functions
+from plait.solver.strands.substitution import substitution
 from plait.solver.strands.types import coupled_module_name, rod_types
 
 
@@ -43,6 +44,8 @@ def elimination(real: type, coupled: bool = False) -> wp.Function:
     factorise, divide, divide_end = blocks.factorise, blocks.divide, blocks.divide_end
     subtract_square, subtract_square_end = blocks.subtract_square, blocks.subtract_square_end
     subtract_product, forward = blocks.subtract_product, blocks.forward
+    again = substitution(real)
+    invert, divide_unit, divide_unit_end = again.invert, again.divide_unit, again.divide_unit_end
 
     @wp.func(module=module)
     def eliminate(
@@ -58,12 +61,13 @@ def elimination(real: type, coupled: bool = False) -> wp.Function:
         inertia: real,
         beta: real,
     ):
-        """Assembles and factors the strand's matrix, with the right-hand side taken along.
+        """Assembles and factors the strand's matrix, with the right-hand side taken along, or kept if coupled.
 
         constrained: whether `planes` hold, where they are with the part `ahead` of the substep still to come;
         origin: where positions in `scratch` are zero [m], world.
         inertia: [1/s2] times mass is the inertial stiffness.  beta: see `joint`.
-        Returns whether every pivot was positive; the factor and the half-solved step are in `scratch`.
+        Returns whether every pivot was positive; the factor and the half-solved step are in `scratch`, if coupled
+        the right-hand side and the factor as `substitution.py` has it.
         """
         first = rods.first_node[strand]
         count = rods.first_node[strand + 1] - first
@@ -206,18 +210,22 @@ def elimination(real: type, coupled: bool = False) -> wp.Function:
                     definite = wp.bool(False)
                     break
                 right = vec4(-turn_gradient, -g[0], -g[1], -g[2])
-                if wp.static(coupled):
-                    scratch.right[base + k * stride] = right
-                y = forward(factor, right - lower1 * y1 - lower2 * vec3(y2[1], y2[2], y2[3]))
                 slot = base + k * stride
-                scratch.factor[slot] = factor
-                scratch.lower1[slot] = lower1
-                scratch.lower2[slot] = lower2
-                scratch.solution[slot] = y
+                if wp.static(coupled):
+                    scratch.right[slot] = right
+                    scratch.inverse[slot] = invert(factor)
+                    scratch.left1[slot] = divide_unit(lower1, factor1)
+                    scratch.left2[slot] = divide_unit_end(lower2, factor2)
+                else:
+                    y = forward(factor, right - lower1 * y1 - lower2 * vec3(y2[1], y2[2], y2[3]))
+                    scratch.factor[slot] = factor
+                    scratch.lower1[slot] = lower1
+                    scratch.lower2[slot] = lower2
+                    scratch.solution[slot] = y
+                    y2 = y1
+                    y1 = y
                 factor2 = factor1
                 factor1 = factor
-                y2 = y1
-                y1 = y
             block = block_after
             block_turn = half_block_turn + here.ea_ta
             turn_block = half_turn_block + here.ta_ta

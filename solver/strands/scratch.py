@@ -23,7 +23,11 @@ def count_chunks(strand_count: int, launcher: Launcher) -> int:
 def allocate_scratch(real: type, layout: Layout, chunks: int, device: wp.Device) -> Any:
     """`Scratch` for `chunks` strands at a time, each as long as the longest."""
     longest = int((layout.first_node[1:] - layout.first_node[:-1]).max())
-    scratch = _allocate(real, longest * chunks, device)
+    size = longest * chunks
+    scratch = _allocate(real, size, device)
+    types = rod_types(real)
+    for name, dtype in (("factor", types.mat44), ("lower1", types.mat44), ("lower2", types.mat43)):
+        setattr(scratch, name, wp.zeros(size, dtype=dtype, device=device))
     # On a GPU, neighbouring threads read neighbouring entries; on a CPU a strand is one run.
     scratch.chunk_stride, scratch.node_stride = (1, chunks) if device.is_cuda else (longest, 1)
     return scratch
@@ -35,6 +39,9 @@ def allocate_coupled_scratch(real: type, node_count: int, device: wp.Device) -> 
     scratch = _allocate(real, node_count, device)
     for name, dtype in (
         ("right", types.vec4),
+        ("inverse", types.mat44),
+        ("left1", types.mat44),
+        ("left2", types.mat44),
         ("meeting_block", types.mat33),
         ("meeting_lower", types.mat33),
         ("meeting_gradient", types.vec3),
@@ -51,8 +58,6 @@ def _allocate(real: type, size: int, device: wp.Device) -> Any:
     fields = {
         types.vec3: (*vectors, "position", "director", "tangent"),
         real: ("length", "inverse_length", "twist", "tension", *turns),
-        types.mat44: ("factor", "lower1"),
-        types.mat43: ("lower2",),
         types.vec4: ("solution",),
     }
     for dtype, names in fields.items():

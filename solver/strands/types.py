@@ -124,6 +124,9 @@ def rod_types(real: type) -> SimpleNamespace:
         turn_target: wp.array(dtype=real)
         # Of strands that meet others (`strand_contact`), else empty; entry k as above.
         right: wp.array(dtype=vec4)  # the right-hand side of segment k, then what is left of it
+        inverse: wp.array(dtype=mat44)  # of the diagonal block, see `substitution.py`
+        left1: wp.array(dtype=mat44)  # the unit factor's block towards the segment before
+        left2: wp.array(dtype=mat44)  # and towards the one before that
         meeting_block: wp.array(dtype=mat33)  # [N/m] stiffness that contacts give node k
         meeting_lower: wp.array(dtype=mat33)  # and between node k and the one before
         meeting_gradient: wp.array(dtype=vec3)  # [N] less their forces on node k
