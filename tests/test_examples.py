@@ -98,3 +98,22 @@ def test_a_tube_that_one_strand_passes_through_fails_its_check():
     for broken in ({"missed": 1}, {"missed": 0, "strain": 0.1}):
         with pytest.raises(AssertionError):
             example.check({"none": without, "implicit": example.replace(without, **broken)})
+
+
+def test_hair_that_stays_braided_or_passes_through_fails_its_check():
+    example = load(next(folder for folder in EXAMPLES if folder.name == "braiding"))
+    size, np = example.SIZES["small"], example.np
+    down = np.linspace(0.0, example.LENGTH, 400)
+    # Hair along the paths that the ends are led on is braided as they are.
+    made = np.array([example.led(size, time) for time in np.linspace(0.0, size.make, 400)]).swapaxes(0, 1)
+    made[..., 1] = -down
+    straight = made[:, :1] - down[:, None] * [0.0, 1.0, 0.0]
+    points = np.array([straight] * (size.frames + 1))[:, :, None]
+    points[size.made] = made[:, None]
+    held = example.Result(points, missed=0, strain=0.0)
+    example.check(size, held)
+    never, still = points.copy(), points.copy()
+    never[size.made], still[-1] = points[0], points[size.made]
+    for broken in ({"points": never}, {"points": still}, {"missed": 1}, {"strain": 0.1}):
+        with pytest.raises(AssertionError):
+            example.check(size, example.replace(held, **broken))

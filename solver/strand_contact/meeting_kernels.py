@@ -230,9 +230,8 @@ def locate(
         held = ZERO
         gap = wp.max(gap, ZERO)
         rest(meetings, item)
-    slack = OVERLAP * wp.min(
-        target, TWO * wp.min((ONE - s) * reach[a] + s * reach[a + 1], (ONE - t) * reach[b] + t * reach[b + 1])
-    )
+    # Towards a root, where the reach goes to nothing, gaps are no more exact than elsewhere on its edge.
+    slack = TWO * OVERLAP * wp.min(wp.max(reach[a], reach[a + 1]), wp.max(reach[b], reach[b + 1]))
     keeps = meetings.acts[item] != 0 and held > ZERO and wp.abs(gap) <= slack
     keeps = keeps and wp.max(moved[strand[a]], moved[strand[b]]) <= STEADY
     if fault == CROSSING:
