@@ -1,8 +1,9 @@
 """Strands against strands as no groomer means it: each scene ten times, each with what must hold said in words.
 
 What must hold in all: the run ends, all is finite, no strand passes through another, and energy, which nothing
-adds to, never rises by more than a hundredth of what the strands would gain by falling their own length. Strain stays
-below 10 %, what strands that cross at 20 m/s are allowed, and where roots are shaken below the 3 % of shaken hair.
+adds to, never rises by more than a hundredth of what the strands would gain by falling their own length. Strain
+stays below 10 %, as strands that cross at 20 m/s are allowed, and where roots are shaken below the 3 % of hair on
+a shaken head.
 """
 
 from __future__ import annotations
