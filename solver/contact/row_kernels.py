@@ -4,6 +4,8 @@ Row c stands for two points that may touch: u_c = sum_k w_ck v_k is how fast the
 one lies from the other. Weights of the one sum to 1, of the other to -1, so an impulse J_c on the first and -J_c
 on the second never changes the linear momentum of the whole. Both act in the second point, where the first body's
 tet, extended, has a place too (weights W_ck; sum_c W_ck J_c on node k): so neither do they change the angular one.
+Velocities are taken where impulses act, U_c = sum_k W_ck v_k: what impulses do then is their product with the
+velocities they see, and stopping those takes energy away. Seen by w_ck instead, in a flat tet, it could add any.
 """
 
 from __future__ import annotations
@@ -69,7 +71,7 @@ def sum_on_node(rows: Rows, n: int, of_rows: wp.array(dtype=wp.vec3d)) -> wp.vec
 
 @wp.kernel
 def claim_nodes(first: int, rows: Rows, claim_out: wp.array(dtype=wp.float64)):
-    """[kg] sum_c |w_ck| share_c at each touched node; one an item."""
+    """[kg] sum_c |W_ck| share_c at each touched node; one an item."""
     n = first + wp.tid()
     total = ZERO
     for k in range(rows.node_offsets[n], rows.node_offsets[n + 1]):
@@ -86,14 +88,14 @@ def weigh_rows(
 ):
     """The compliance that makes Jacobi sweeps converge whatever touches whatever; one row an item.
 
-    The matrix A_cd = sum_k w_ck w_dk / m_k has no eigenvalue above one after division by
-    sum_d |A_cd| s_d / s_c <= sum_k |w_ck| claim_k / (m_k s_c), for any shares s > 0 (Gershgorin's circles).
+    The matrix A_cd = sum_k W_ck W_dk / m_k has no eigenvalue above one after division by
+    sum_d |A_cd| s_d / s_c <= sum_k |W_ck| claim_k / (m_k s_c), for any shares s > 0 (Gershgorin's circles).
     """
     c = first + wp.tid()
     total = ZERO
     for k in range(rows.offsets[c], rows.offsets[c + 1]):
         node = rows.node[k]
-        total += wp.abs(rows.weight[k]) * claim[node] * rows.inverse_mass[node]
+        total += wp.abs(rows.common_weight[k]) * claim[node] * rows.inverse_mass[node]
     state.compliance[c] = total / rows.share[c]
 
 
@@ -109,7 +111,7 @@ def begin_rows(
     """Gap and velocity of each row where an elastic solve took it; one row an item."""
     c = first + wp.tid()
     n = rows.normal[c]
-    u = wp.dot(n, between(rows, rows.weight, c, velocity))
+    u = wp.dot(n, between(rows, rows.common_weight, c, velocity))
     state.gap[c] = wp.dot(n, between(rows, rows.weight, c, position))
     state.velocity[c] = u
     if first_pass == 1:
@@ -131,8 +133,8 @@ def sweep_rows(
     """
     c = first + wp.tid()
     n = rows.normal[c]
-    un = wp.dot(n, between(rows, rows.weight, c, velocity))
     slip = between(rows, rows.common_weight, c, velocity)
+    un = wp.dot(n, slip)
     lack = (rows.target[c] - state.gap[c]) / displacement_per_velocity - (un - state.velocity[c])
     if rows.target[c] > state.gap[c] and rows.restitution[c] > ZERO:
         lack = wp.max(lack, -rows.restitution[c] * state.approach[c] - un)

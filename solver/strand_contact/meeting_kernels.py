@@ -203,6 +203,13 @@ def locate(
     fault = wp.int32(0)
     if may_cross(a0, a1, b0, b1, c0, c1, d0, d1):
         time = first_touch(a0, a1, b0, b1, c0, c1, d0, d1, LEFT * wp.min(before, reach[a] + reach[b]))
+        if time == ZERO:
+            # They touch where they start: neither has a side that it could be kept on.
+            meetings.fault[item] = 0
+            meetings.gap[item] = clear
+            meetings.slack[item] = wp.abs(clear)
+            rest(meetings, item)
+            return
         if time <= ONE:
             fault = CROSSING
             c0 = a0 + time * (c0 - a0)

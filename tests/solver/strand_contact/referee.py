@@ -55,6 +55,7 @@ class Referee:
 
     missed: (pair, substep) with a collision; by_frame: those of each frame so far, of `frame` [s] each.
     largest_strain: of any edge at the end of any substep.  substeps: committed.
+    ignored: pairs of strands (i, j), i < j, that are not judged, as they started within each other.
     """
 
     simulation: Simulation
@@ -64,12 +65,13 @@ class Referee:
     largest_strain: float = 0.0
     by_frame: dict[int, int] = field(default_factory=dict)
     pairs: set[tuple[int, int]] = field(default_factory=set)
+    ignored: frozenset[tuple[int, int]] = frozenset()
 
     def __post_init__(self) -> None:
         stage = self.simulation.model.parts["strands"]
         self._edges = edges_of(stage.layout.first_node)
         self._rest = stage.rods.rest_length.numpy()[self._edges].astype(np.float64)
-        self._judge = MissedCollisions(self._edges)
+        self._judge = MissedCollisions(self._edges, stage.layout.node_strand, self.ignored)
         watch(self.simulation, self._see)
 
     def _see(self, substep: Interval, start: np.ndarray, end: np.ndarray) -> None:
@@ -100,8 +102,17 @@ def edges_of(first_node: np.ndarray) -> np.ndarray:
 class MissedCollisions:
     """The pairs of edges that pass through each other on the straight way between two states."""
 
-    def __init__(self, edges: np.ndarray) -> None:
-        """edges: (edge_count,) int32, edge k from node k to k + 1; edges that share a node are no pair."""
+    def __init__(
+        self,
+        edges: np.ndarray,
+        node_strand: np.ndarray | None = None,
+        ignored: frozenset[tuple[int, int]] = frozenset(),
+    ) -> None:
+        """edges: (edge_count,) int32, edge k from node k to k + 1; edges that share a node are no pair.
+
+        ignored: pairs of strands (i, j), i < j, by the strand of each node, (node_count,), that are none either.
+        """
+        self._node_strand, self._ignored = node_strand, np.array(sorted(ignored)).reshape(-1, 2)
         self._edges = wp.array(edges, dtype=wp.int32, device="cpu")
         self._counts = wp.zeros(len(edges), dtype=wp.int32, device="cpu")
         self._test = ipctk.TightInclusionCCD(max_iterations=MOST_ITERATIONS)
@@ -109,6 +120,9 @@ class MissedCollisions:
     def __call__(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """(n, 2) int, the pairs of edges that collide between two states (node_count, 3) [m]."""
         pairs = self.candidates(start, end)
+        if len(self._ignored):
+            strands = np.sort(self._node_strand[pairs], axis=1)
+            pairs = pairs[~(strands[:, None] == self._ignored).all(axis=2).any(axis=1)]
         corners = pairs[:, [0, 0, 1, 1]] + [0, 1, 0, 1]
         places = np.stack([start[corners], end[corners]], axis=1)  # (n, 2 times, 4 corners, 3)
         # About the pair's middle, which may move linearly, and with segments about one long.

@@ -1,0 +1,32 @@
+"""Strands that are drawn within each other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plait.pipeline.benchmarks.scenes import rods, straight
+from plait.solver.scene import Scene
+from plait.solver.settings import Settings, StrandContactSettings
+
+from .scenes import FRAMES_PER_SECOND, TUBE, Case
+
+
+def test_what_touches_as_drawn_moves_as_if_alone():
+    """A strand drawn twice, and two from one root that part: none has a side on which it could be kept from the
+    other, so each falls as without contact, in the substeps asked for.
+    """
+    twice = straight(10, 0.1, (1.0, 0.0, 0.0))
+    parting = [straight(10, 0.1, (1.0, 0.0, side), (0.0, 0.0, 0.1)) for side in (0.0, 0.5)]
+    surface, strands = rods("hair", [twice, twice.copy(), *parting], TUBE, rest_shape="authored")
+    case, points = Case(Scene((surface,), (strands,)), frames=3), []
+    for method in ("none", "implicit"):
+        contact = StrandContactSettings(method=method)
+        simulation = case.start(Settings(threads=1, substeps=8, strand_contact=contact))
+        for frame in range(case.frames):
+            found = simulation.advance_frame((frame + 1) / FRAMES_PER_SECOND)
+            assert found["substeps"] == 8
+        points.append(simulation.model.parts["strands"].points(0))
+        fallen = points[0] - strands.points
+    # Newton's tolerance, a part of a segment.
+    assert np.abs(points[1] - points[0]).max() < 0.03 * 0.01
+    assert fallen[:, 1].min() < -0.02
