@@ -133,6 +133,8 @@ class StrandContact:
             if done and solve.largest(solve.stray) > 0.5 * self._room_to_stray:
                 self._find_again()
             self._locate()
+            if not self._passes:
+                self.contacts.pass_on()
             if done == 1 and not last_resort and self._too_fast():
                 break
             if done:

@@ -24,6 +24,7 @@ from plait.solver.strand_contact.meeting_kernels import (
     recall,
     remember,
 )
+from plait.solver.strand_contact.passing_kernels import inherit, pass_on
 from plait.solver.strands.layout import Layout
 
 # Costs of an item in units of `Launcher.launch`.
@@ -42,6 +43,9 @@ MEETING_ARRAYS = {
     "traction": wp.vec3d,
     "sliding": wp.vec3d,
     "swings": wp.int32,
+    "heir": wp.int32,
+    "passed_pressure": wp.float64,
+    "passed_traction": wp.vec3d,
     "acts": wp.int32,
     "force": wp.vec3d,
     "block": wp.mat33d,
@@ -151,6 +155,11 @@ class EdgeContacts:
         stiffness: (node_count,) [N/m] of nodes.  moved: (strand_count,) each strand's last step over its segments.
         """
         self._launch(locate, [self._reach, stiffness, self._strand, moved, start, position], LOCATE_WORK)
+
+    def pass_on(self) -> None:
+        """Contacts that have gone past a node go on with the forces that they had; after the first `locate`."""
+        for kernel in (pass_on, inherit):
+            self._launch(kernel, [self.pairs.first, self.pairs.incident], PAIR_WORK)
 
     def hold(self, start: wp.array, position: wp.array, moved: wp.array, calm: float) -> None:
         """Contacts that are out of place hold the force that they have, where strands have `moved` less than `calm`.

@@ -60,6 +60,9 @@ class Meetings:
     traction: wp.array(dtype=wp.vec3d)  # [N] held
     sliding: wp.array(dtype=wp.vec3d)  # direction of the traction of what slid in the last pass
     swings: wp.array(dtype=wp.int32)  # 1: what slid one way in a pass slid the other way in the next
+    heir: wp.array(dtype=wp.int32)  # the pair, beyond a node, to which these have passed; -1: none
+    passed_pressure: wp.array(dtype=wp.float64)  # [N] to it, and
+    passed_traction: wp.array(dtype=wp.vec3d)
     acts: wp.array(dtype=wp.int32)  # 1: a force or stiffness there is
     force: wp.array(dtype=wp.vec3d)  # [N] on a
     block: wp.array(dtype=wp.mat33d)  # [N/m] its derivative by -p_a
@@ -155,6 +158,7 @@ def rest(meetings: Meetings, item: int):
     meetings.stiffness[item] = ZERO
     meetings.pressure[item] = ZERO
     meetings.traction[item] = wp.vec3d()
+    meetings.heir[item] = -1
     meetings.acts[item] = 0
 
 
