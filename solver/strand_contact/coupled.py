@@ -166,7 +166,7 @@ class StrandContact:
     def commit(self) -> None:
         """The substep stands: its contacts are those to go on from."""
         if self._meets:
-            self.contacts.commit(self._start, self._solve.position, self._solve.moved)
+            self.contacts.commit(self._start, self._solve.position, self._solve.moved, CALM)
         if self.ties is not None:
             self.ties.commit()
         self.tally.most_passes = max(self.tally.most_passes, self._passes)

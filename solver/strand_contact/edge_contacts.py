@@ -138,9 +138,9 @@ class EdgeContacts:
         """There are no contacts."""
         self._held.other.fill_(-1)
 
-    def commit(self, start: wp.array, position: wp.array, moved: wp.array) -> None:
-        """Forces at `position` are those to go on from."""
-        self._launch(hold, [self._friction, start, position, self._strand, moved, wp.float64(np.inf)], PAIR_WORK)
+    def commit(self, start: wp.array, position: wp.array, moved: wp.array, calm: float) -> None:
+        """Forces at `position` are those to go on from; where strands `moved` less than `calm`, they are held."""
+        self._hold(start, position, moved, calm, np.inf)
         self._remember(self._held)
 
     def _remember(self, forces: Held) -> None:
@@ -162,11 +162,15 @@ class EdgeContacts:
             self._launch(kernel, [self.pairs.first, self.pairs.incident], PAIR_WORK)
 
     def hold(self, start: wp.array, position: wp.array, moved: wp.array, calm: float) -> None:
-        """Contacts that are out of place hold the force that they have, where strands have `moved` less than `calm`.
+        """Contacts hold the forces that they now have, where strands have `moved` less than `calm`.
 
         moved: (strand_count,) each strand's last step over its segments.
         """
-        self._launch(hold, [self._friction, start, position, self._strand, moved, wp.float64(calm)], PAIR_WORK)
+        self._hold(start, position, moved, -1.0, calm)
+
+    def _hold(self, start: wp.array, position: wp.array, moved: wp.array, calmer: float, calm: float) -> None:
+        limits = [wp.float64(calmer), wp.float64(calm)]
+        self._launch(hold, [self._friction, start, position, self._strand, moved, *limits], PAIR_WORK)
 
     def press(self, start: wp.array, position: wp.array) -> None:
         """Forces and stiffnesses at `position`; lists what acts."""

@@ -353,22 +353,26 @@ def hold(
     x: wp.array(dtype=wp.vec3d),
     strand: wp.array(dtype=wp.int32),
     furthest: wp.array(dtype=wp.float64),
+    calmer: wp.float64,
     calm: wp.float64,
     meetings: Meetings,
 ):
-    """Holds the force at `x` of a pair from now on, if neither strand has moved beyond `calm`; one an item.
+    """Holds the force at `x` of a pair that took part in the last step from now on; one pair an item.
 
-    Or if there is less of it: what has parted presses no more.
+    If of its two strands the one that moved further did so by more than `calmer`, up to `calm`. Or if there is less
+    of it: what has parted presses no more.
 
     strand: (node_count,) of each node.  furthest: (strand_count,) each strand's last move.
     """
     item = first + wp.tid()
-    if meetings.stiffness[item] == ZERO:
+    if meetings.stiffness[item] == ZERO or meetings.acts[item] == 0:
         return
     edges = meetings.edges[item]
+    moved = wp.max(furthest[strand[edges[0]]], furthest[strand[edges[1]]])
+    if moved <= calmer:
+        return
     pushed = push(friction, start, x, meetings, item)
-    if wp.max(furthest[strand[edges[0]]], furthest[strand[edges[1]]]) > calm:
-        if meetings.gap[item] <= meetings.slack[item] or pushed.pressure >= meetings.pressure[item]:
-            return
+    if moved > calm and (meetings.gap[item] <= meetings.slack[item] or pushed.pressure >= meetings.pressure[item]):
+        return
     meetings.pressure[item] = pushed.pressure
     meetings.traction[item] = pushed.traction
