@@ -21,6 +21,8 @@ from plait.solver.strands.layout import Layout
 CALM = 0.003
 # Strands that would move less than this part of a segment in another pass are where they are to be.
 SETTLED = 0.01
+# After so many passes, contacts of strands that move less than this part of a segment keep their places.
+FREE_PLACES, STEADY = 3, 0.2
 # Passes with full steps; what then still goes to and fro is damped.
 UNRELAXED, RELAXED = 5, 0.6
 # After so many passes contacts may be DEEP.
@@ -132,7 +134,7 @@ class StrandContact:
         for done in range(self._settings.passes + 1):
             if done and solve.largest(solve.stray) > 0.5 * self._room_to_stray:
                 self._find_again()
-            self._locate()
+            self._locate(STEADY if done >= FREE_PLACES else 0.0)
             if not self._passes:
                 self.contacts.pass_on()
             if done == 1 and not last_resort and self._too_fast():
@@ -192,10 +194,10 @@ class StrandContact:
 
     # -- a pass --------------------------------------------------------------------------------------------
 
-    def _locate(self) -> None:
+    def _locate(self, steady: float = 0.0) -> None:
         """Where pairs and ties are now."""
         solve = self._solve
-        self.contacts.locate(solve.stiffness, solve.moved, self._start, solve.position)
+        self.contacts.locate(solve.stiffness, solve.moved, steady, self._start, solve.position)
         if self.ties is not None:
             self.ties.measure()
 

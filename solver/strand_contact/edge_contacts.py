@@ -149,12 +149,16 @@ class EdgeContacts:
 
     # -- where and how they touch --------------------------------------------------------------------------
 
-    def locate(self, stiffness: wp.array, moved: wp.array, start: wp.array, position: wp.array) -> None:
+    def locate(
+        self, stiffness: wp.array, moved: wp.array, steady: float, start: wp.array, position: wp.array
+    ) -> None:
         """Where pairs touch on their way from `start` to `position`.
 
         stiffness: (node_count,) [N/m] of nodes.  moved: (strand_count,) each strand's last step over its segments.
         """
-        self._launch(locate, [self._reach, stiffness, self._strand, moved, start, position], LOCATE_WORK)
+        self._launch(
+            locate, [self._reach, stiffness, self._strand, moved, wp.float64(steady), start, position], LOCATE_WORK
+        )
 
     def pass_on(self) -> None:
         """Contacts that have gone past a node go on with the forces that they had; after the first `locate`."""

@@ -21,8 +21,6 @@ wp.set_module_options({"enable_backward": False})
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 TWO = wp.constant(wp.float64(2.0))
-# Strands steady by so much of a segment let contacts keep their places.
-STEADY = wp.constant(wp.float64(0.2))
 # Contacts may be nearer, or press from further, by this part of the distance that two of the thinner would keep.
 OVERLAP = wp.constant(wp.float64(0.1))
 # What two strands nearer than their distance to keep are asked to regain of it in a substep.
@@ -169,6 +167,7 @@ def locate(
     stiffness: wp.array(dtype=wp.float64),
     strand: wp.array(dtype=wp.int32),
     moved: wp.array(dtype=wp.float64),
+    steady: wp.float64,
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
     meetings: Meetings,
@@ -244,7 +243,7 @@ def locate(
     # Towards a root, where the reach goes to nothing, gaps are no more exact than elsewhere on its edge.
     slack = TWO * OVERLAP * wp.min(wp.max(reach[a], reach[a + 1]), wp.max(reach[b], reach[b + 1]))
     keeps = meetings.acts[item] != 0 and held > ZERO and wp.abs(gap) <= slack
-    keeps = keeps and wp.max(moved[strand[a]], moved[strand[b]]) <= STEADY
+    keeps = keeps and wp.max(moved[strand[a]], moved[strand[b]]) <= steady
     if fault == CROSSING:
         meetings.turned[item] = 1
     elif meetings.turned[item] != 0:
