@@ -19,13 +19,14 @@ from plait.solver.strands.layout import Layout
 
 # A pass that moves no node further than this part of a segment leaves contact forces that are worth holding.
 CALM = 0.003
-# Strands that would move less than this part of a segment in another pass are where they are to be.
-SETTLED = 0.01
+# A strand is where it is to be when another pass would move it by less than this part of what the first one did, or
+# of a segment; and of a segment at most.
+SETTLED, STILL, ADRIFT = 0.02, 0.003, 0.03
 # After so many passes, contacts of strands that move less than this part of a segment keep their places.
 FREE_PLACES, STEADY = 3, 0.2
 # Passes with full steps; what then still goes to and fro is damped.
 UNRELAXED, RELAXED = 5, 0.6
-# After so many passes contacts may be DEEP.
+# After so many passes the most is enough, and contacts may be out of place but not deep.
 ENOUGH = 6
 # Strands that would go further through each other than this part of a segment take shorter steps at once.
 FURTHEST = 1.0
@@ -204,7 +205,7 @@ class StrandContact:
     def _at_an_end(self, done: int) -> bool:
         """Whether every strand is in balance, has gone through none, is in place and keeps to what it is tied to."""
         solve = self._solve
-        if not solve.solved or solve.largest(solve.left) > SETTLED:
+        if not solve.solved or not solve.settled(SETTLED, ADRIFT if done >= ENOUGH else STILL, ADRIFT):
             return False
         faults = self.contacts.faults()
         fault = int(np.bitwise_or.reduce(faults)) if len(faults) else 0

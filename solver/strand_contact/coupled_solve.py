@@ -19,7 +19,7 @@ from plait.solver.strands.types import rod_types
 
 # Conjugate gradients end when the residual's norm under the preconditioner has fallen to this part, or when what
 # is left would move a strand by less than this part of a segment.
-LINEAR_TOLERANCE, SMALL = 0.01, 5e-3
+LINEAR_TOLERANCE, SMALL = 0.01, 1.5e-3
 MAX_LINEAR_ITERATIONS = 40
 # The same where strands are free, as what is left is momentum lost; and where ties are stiff between strands, as
 # the preconditioner hardly sees their common motion.
@@ -75,6 +75,7 @@ class CoupledSolve:
         """A substep from `state`, without any strands yet. alone: where strands would go by themselves."""
         self._method, self._state, self._alone, self._roots = method, state, alone, roots
         self.strands = np.zeros(0, dtype=np.int32)
+        self._pace = np.full(self._layout.strand_count, np.nan)
 
     def take(self, near: np.ndarray) -> None:
         """Strands flagged in `near`, (strand_count,) bool, take part too, and all are in play."""
@@ -169,10 +170,18 @@ class CoupledSolve:
             self.iterations += 1
         self._relaxation.fill_(relaxation)
         self._advance()
+        fresh = np.isnan(self._pace)
+        if fresh.any():
+            self._pace = np.where(fresh, self.moved.numpy(), self._pace)
 
     def largest(self, values: wp.array) -> float:
         """Over the strands in play, of (strand_count,)."""
         return float(values.numpy()[self._playing].max())
+
+    def settled(self, part: float, least: float, most: float) -> bool:
+        """Whether no strand in play has more `left` than `part` of its first step, from `least` to `most` segments."""
+        allowed = np.clip(part * self._pace, least, most)[self._playing]
+        return bool((self.left.numpy()[self._playing] <= allowed).all())
 
     @property
     def solved(self) -> bool:
