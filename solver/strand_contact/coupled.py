@@ -20,8 +20,8 @@ from plait.solver.strands.layout import Layout
 # A pass that moves no node further than this part of a segment leaves contact forces that are worth holding.
 CALM = 0.003
 # A strand is where it is to be when another pass would move it by less than this part of what the first one did, or
-# of a segment; and of a segment at most.
-SETTLED, STILL, ADRIFT = 0.02, 0.003, 0.03
+# of a segment; and of a segment at most. After some passes, by less than this part of what the first did to any.
+SETTLED, STILL, ADRIFT, PATIENT = 0.02, 0.003, 0.03, 3
 # After so many passes, contacts of strands that move less than this part of a segment keep their places.
 FREE_PLACES, STEADY = 3, 0.2
 # Passes with full steps; what then still goes to and fro is damped.
@@ -205,7 +205,7 @@ class StrandContact:
     def _at_an_end(self, done: int) -> bool:
         """Whether every strand is in balance, has gone through none, is in place and keeps to what it is tied to."""
         solve = self._solve
-        if not solve.solved or not solve.settled(SETTLED, ADRIFT if done >= ENOUGH else STILL, ADRIFT):
+        if not solve.solved or not solve.settled(SETTLED, ADRIFT if done >= ENOUGH else STILL, ADRIFT, together=done >= PATIENT):
             return False
         faults = self.contacts.faults()
         fault = int(np.bitwise_or.reduce(faults)) if len(faults) else 0

@@ -178,9 +178,13 @@ class CoupledSolve:
         """Over the strands in play, of (strand_count,)."""
         return float(values.numpy()[self._playing].max())
 
-    def settled(self, part: float, least: float, most: float) -> bool:
-        """Whether no strand in play has more `left` than `part` of its first step, from `least` to `most` segments."""
-        allowed = np.clip(part * self._pace, least, most)[self._playing]
+    def settled(self, part: float, least: float, most: float, *, together: bool) -> bool:
+        """Whether no strand in play has more `left` than `part` of its first step, from `least` to `most` segments.
+
+        together: than `part` of the longest first step of any.
+        """
+        pace = self._pace[self._playing]
+        allowed = np.clip(part * (pace.max() if together else pace), least, most)
         return bool((self.left.numpy()[self._playing] <= allowed).all())
 
     @property
