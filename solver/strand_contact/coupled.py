@@ -133,7 +133,7 @@ class StrandContact:
         solve.play(planes, constrained, self._expected)
         stands = False
         for done in range(self._settings.passes + 1):
-            if done and solve.largest(solve.stray) > 0.5 * self._room_to_stray:
+            if done and solve.largest(solve.ways.stray) > 0.5 * self._room_to_stray:
                 self._find_again()
             self._locate(STEADY if done >= FREE_PLACES else 0.0)
             if not self._passes:
@@ -141,7 +141,7 @@ class StrandContact:
             if done == 1 and not last_resort and self._too_fast():
                 break
             if done:
-                self.contacts.hold(self._start, solve.position, solve.moved, CALM)
+                self.contacts.hold(self._start, solve.position, solve.ways, CALM)
             self.contacts.press(self._start, solve.position)
             solve.linearise()
             stands = bool(done) and self._at_an_end(done)
@@ -169,7 +169,7 @@ class StrandContact:
     def commit(self) -> None:
         """The substep stands: its contacts are those to go on from."""
         if self._meets:
-            self.contacts.commit(self._start, self._solve.position, self._solve.moved, CALM)
+            self.contacts.commit(self._start, self._solve.position, self._solve.ways, CALM)
         if self.ties is not None:
             self.ties.commit()
         self.tally.most_passes = max(self.tally.most_passes, self._passes)
@@ -198,14 +198,16 @@ class StrandContact:
     def _locate(self, steady: float = 0.0) -> None:
         """Where pairs and ties are now."""
         solve = self._solve
-        self.contacts.locate(solve.stiffness, solve.moved, steady, self._start, solve.position)
+        self.contacts.locate(solve.stiffness, solve.ways, steady, self._start, solve.position)
         if self.ties is not None:
             self.ties.measure()
 
     def _at_an_end(self, done: int) -> bool:
         """Whether every strand is in balance, has gone through none, is in place and keeps to what it is tied to."""
         solve = self._solve
-        if not solve.solved or not solve.settled(SETTLED, ADRIFT if done >= ENOUGH else STILL, ADRIFT, together=done >= PATIENT):
+        if not solve.solved or not solve.settled(
+            SETTLED, ADRIFT if done >= ENOUGH else STILL, ADRIFT, together=done >= PATIENT
+        ):
             return False
         faults = self.contacts.faults()
         fault = int(np.bitwise_or.reduce(faults)) if len(faults) else 0
@@ -227,7 +229,7 @@ class StrandContact:
         places = np.where(nodes[:, None], solve.position.numpy(), self._expected.numpy())
         # The further they stray, the further they may in the passes to come.
         widest = WIDER * self._margin
-        self._room_to_stray = float(np.clip(4.0 * solve.largest(solve.stray), self._margin, widest))
+        self._room_to_stray = float(np.clip(4.0 * solve.largest(solve.ways.stray), self._margin, widest))
         if self._in_contact:
             meets, self._expected = self.contacts.find_again(self._start, places, self._room_to_stray)
             self._meets = meets or self._meets

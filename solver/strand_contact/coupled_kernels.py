@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from plait.solver.contact.planes import ContactPlanes
-from plait.solver.strand_contact.meeting_kernels import Meetings
+from plait.solver.strand_contact.meeting_kernels import Meetings, Ways
 from plait.solver.strands.contact import contact_functions
 from plait.solver.strands.elimination import elimination
 from plait.solver.strands.kernels import LARGEST_TURN, strand_kernels
@@ -59,6 +59,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         position_out: wp.array(dtype=wp.vec3d),
         stiffness_out: wp.array(dtype=wp.float64),
         inertia_out: wp.array(dtype=real),
+        ways_out: Ways,
     ):
         """The substep's start carried rigidly with the root; what a node resists a contact by [N/m]."""
         strand = strands[first + wp.tid()]
@@ -82,6 +83,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
             rods, scratch, strand, base, 1, step, real(0.0), types.mat33(turn), vec3(before), vec3(-before), step
         )
         inertia_out[strand] = inertia
+        ways_out.travel[strand] = wp.float64(0.0)
         length = rods.segment[strand]
         # The root's Voronoi length is half a segment.
         bending = wp.float64(real(0.5) * length * rods.bend[base + 1])
@@ -273,13 +275,11 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         scratch: Scratch,
         expected: wp.array(dtype=wp.vec3d),
         position_out: wp.array(dtype=wp.vec3d),
-        furthest_out: wp.array(dtype=wp.float64),
-        stray_out: wp.array(dtype=wp.float64),
+        ways_out: Ways,
     ):
         """Takes the step, or `relaxation` of it, or so much that no edge turns too far at once.
 
-        furthest_out: (strand_count,) longest displacement asked for, over the strand's segments.
-        stray_out: (strand_count,) [m] the furthest that a node now is from `expected`, for which pairs were found.
+        expected: (node_count,) [m] where pairs were found for.
         """
         strand = strands[first + wp.tid()]
         base = rods.first_node[strand]
@@ -314,8 +314,9 @@ def coupled_kernels(real: type) -> SimpleNamespace:
             x = root + wp.vec3d(scratch.position[node])
             position_out[node] = x
             stray = wp.max(stray, wp.length(x - expected[node]))
-        stray_out[strand] = stray
-        furthest_out[strand] = wp.float64(wp.sqrt(furthest) / rods.segment[strand])
+        ways_out.stray[strand] = stray
+        ways_out.moved[strand] = wp.float64(wp.sqrt(furthest) / rods.segment[strand])
+        ways_out.travel[strand] = ways_out.travel[strand] + wp.float64(fraction * wp.sqrt(furthest))
 
     @kernel
     def hold_back(

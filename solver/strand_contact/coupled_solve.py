@@ -13,6 +13,7 @@ from plait.solver.launch import Launcher
 from plait.solver.strand_contact.attachments import Attachments
 from plait.solver.strand_contact.coupled_kernels import coupled_kernels
 from plait.solver.strand_contact.edge_contacts import EdgeContacts
+from plait.solver.strand_contact.meeting_kernels import Ways
 from plait.solver.strands.layout import Layout
 from plait.solver.strands.scratch import allocate_coupled_scratch
 from plait.solver.strands.types import rod_types
@@ -33,9 +34,8 @@ class CoupledSolve:
 
     position: (node_count,) vec3d [m] where nodes of the strands begun are now.
     stiffness: (node_count,) [N/m] what a node resists a contact by.
-    moved: (strand_count,) each strand's last step over its segments.
-    left: the same of the step that each would take next by itself, after `linearise`.
-    stray: (strand_count,) [m] the furthest that its nodes now are from where they were expected.
+    ways: how strands have moved.
+    left: (strand_count,) the step over its segments that each would take next by itself, after `linearise`.
     """
 
     def __init__(
@@ -58,9 +58,10 @@ class CoupledSolve:
         self.position = wp.zeros(nodes, dtype=wp.vec3d, device=device)
         self.stiffness = wp.zeros(nodes, dtype=wp.float64, device=device)
         self._inertia = wp.zeros(strands, dtype=real, device=device)
-        self._product, self.moved, self.left, self.stray = (
-            wp.zeros(strands, dtype=wp.float64, device=device) for _ in range(4)
-        )
+        self._product, self.left = (wp.zeros(strands, dtype=wp.float64, device=device) for _ in range(2))
+        self.ways = Ways()
+        for name in ("moved", "travel", "stray"):
+            setattr(self.ways, name, wp.zeros(strands, dtype=wp.float64, device=device))
         self._alpha, self._beta, self._relaxation = (
             wp.zeros(1, dtype=wp.float64, device=device) for _ in range(3)
         )
@@ -83,7 +84,7 @@ class CoupledSolve:
         new = np.setdiff1d(strands, self.strands, assume_unique=True)
         inputs = [self._hold(new), self._method, self._rods, self._state, self._roots]
         inputs += [self._contacts.lasting, self._alone, self._scratch]
-        outputs = [self.position, self.stiffness, self._inertia]
+        outputs = [self.position, self.stiffness, self._inertia, self.ways]
         self._launcher.launch(self._kernels.begin, len(new), inputs, outputs, work_per_item=self._work)
         self.strands = np.union1d(self.strands, strands).astype(np.int32)
         segment = self._layout.mean_segment[self.strands]
@@ -119,7 +120,7 @@ class CoupledSolve:
         self._linearise = prepare(kernels.linearise, [*system, scratch], outputs)
         self._descend = prepare(kernels.descend, [active, self._alpha, rods], [scratch, krylov, self._product])
         inputs = [*system, self._relaxation, krylov, scratch, expected]
-        self._advance = prepare(kernels.advance, inputs, [self.position, self.moved, self.stray])
+        self._advance = prepare(kernels.advance, inputs, [self.position, self.ways])
         if self._ties is not None:
             contacts = self._contacts
             place = [self.position, self.stiffness, scratch, krylov]
@@ -130,8 +131,8 @@ class CoupledSolve:
     def linearise(self) -> None:
         """Each strand's matrix and what is left to balance, with the contacts that press; what `left` then is."""
         contacts, launcher = self._contacts, self._launcher
-        acting = [contacts.incident_first, contacts.incident, contacts.meetings]
-        self._hold_contacts(2 * contacts.acting_count)
+        acting = [contacts.acting_first, contacts.acting, contacts.meetings]
+        self._hold_contacts(contacts.acting_count)
         inputs = [self._active, *acting, self._rods]
         self._launch(self._kernels.gather, inputs, [self._scratch, self._couplings])
         if self._ties is not None:
@@ -172,7 +173,7 @@ class CoupledSolve:
         self._advance()
         fresh = np.isnan(self._pace)
         if fresh.any():
-            self._pace = np.where(fresh, self.moved.numpy(), self._pace)
+            self._pace = np.where(fresh, self.ways.moved.numpy(), self._pace)
 
     def largest(self, values: wp.array) -> float:
         """Over the strands in play, of (strand_count,)."""

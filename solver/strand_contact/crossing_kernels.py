@@ -67,6 +67,20 @@ def closest_on_edges(a0: wp.vec3d, a1: wp.vec3d, b0: wp.vec3d, b1: wp.vec3d) -> 
 
 
 @wp.func
+def least_distance(between: wp.vec3d, u: wp.vec3d, v: wp.vec3d) -> wp.float64:
+    """The least that edges u and v can be apart whose `closest_on_edges` are `between` apart."""
+    weight = wp.float64(0.25) * PARALLEL * (wp.length_sq(u) + wp.length_sq(v))
+    return wp.sqrt(wp.max(wp.length_sq(between) - weight, ZERO))
+
+
+@wp.func
+def largest_shift(a0: wp.vec3d, a1: wp.vec3d, b0: wp.vec3d, b1: wp.vec3d) -> wp.float64:
+    """The most that points of two edges move against each other, whose ends move by a0, a1, b0, b1."""
+    of_first = wp.max(wp.length_sq(a0 - b0), wp.length_sq(a0 - b1))
+    return wp.sqrt(wp.max(of_first, wp.max(wp.length_sq(a1 - b0), wp.length_sq(a1 - b1))))
+
+
+@wp.func
 def closest_of_point_and_edge(u: wp.vec3d, v: wp.vec3d, w: wp.vec3d, uu: wp.float64, vv: wp.float64) -> wp.vec2d:
     """As `closest_on_edges` where one edge, or both, are a point."""
     p = ZERO

@@ -17,6 +17,7 @@ from plait.solver.strand_contact.meeting_kernels import (
     OUT_OF_PLACE,
     Held,
     Meetings,
+    Ways,
     expect,
     hold,
     locate,
@@ -31,6 +32,7 @@ from plait.solver.strands.layout import Layout
 PAIR_WORK, LOCATE_WORK, LIST_WORK = 2, 6, 3
 MEETING_ARRAYS = {
     "apart": wp.vec3d,
+    "clear_until": wp.float64,
     "place": wp.vec2d,
     "normal": wp.vec3d,
     "target": wp.float64,
@@ -58,7 +60,7 @@ class EdgeContacts:
     State arrays, HELD_AN_EDGE slots an edge: strand_contact/other, pressure, traction of contacts that last.
 
     pairs: the pairs of edges.  meetings: what is known of each.
-    acting: (acting_count,) int32 pairs that push.  incident_first, incident: those of each edge, as in `EdgePairs`.
+    acting_first, acting: those of each edge that push, as in `EdgePairs`.  acting_count: of both edges.
     lasting: (strand_count,) int32, 1: strands that were in contact when the substep began.
     widest: [m] the largest distance that strands keep.
     """
@@ -138,9 +140,9 @@ class EdgeContacts:
         """There are no contacts."""
         self._held.other.fill_(-1)
 
-    def commit(self, start: wp.array, position: wp.array, moved: wp.array, calm: float) -> None:
-        """Forces at `position` are those to go on from; where strands `moved` less than `calm`, they are held."""
-        self._hold(start, position, moved, calm, np.inf)
+    def commit(self, start: wp.array, position: wp.array, ways: Ways, calm: float) -> None:
+        """Forces at `position` are those to go on from; where strands moved less than `calm`, they are held."""
+        self._hold(start, position, ways, calm, np.inf)
         self._remember(self._held)
 
     def _remember(self, forces: Held) -> None:
@@ -149,32 +151,27 @@ class EdgeContacts:
 
     # -- where and how they touch --------------------------------------------------------------------------
 
-    def locate(
-        self, stiffness: wp.array, moved: wp.array, steady: float, start: wp.array, position: wp.array
-    ) -> None:
+    def locate(self, stiffness: wp.array, ways: Ways, steady: float, start: wp.array, position: wp.array) -> None:
         """Where pairs touch on their way from `start` to `position`.
 
-        stiffness: (node_count,) [N/m] of nodes.  moved: (strand_count,) each strand's last step over its segments.
+        stiffness: (node_count,) [N/m] of nodes.  steady: what pushes keeps its place where strands moved less than
+        this part of a segment.
         """
-        self._launch(
-            locate, [self._reach, stiffness, self._strand, moved, wp.float64(steady), start, position], LOCATE_WORK
-        )
+        inputs = [self._reach, stiffness, self._strand, ways, wp.float64(steady), start, position]
+        self._launch(locate, inputs, LOCATE_WORK)
 
     def pass_on(self) -> None:
         """Contacts that have gone past a node go on with the forces that they had; after the first `locate`."""
         for kernel in (pass_on, inherit):
             self._launch(kernel, [self.pairs.first, self.pairs.incident], PAIR_WORK)
 
-    def hold(self, start: wp.array, position: wp.array, moved: wp.array, calm: float) -> None:
-        """Contacts hold the forces that they now have, where strands have `moved` less than `calm`.
+    def hold(self, start: wp.array, position: wp.array, ways: Ways, calm: float) -> None:
+        """Contacts hold the forces that they now have, where strands have moved less than `calm` segments."""
+        self._hold(start, position, ways, -1.0, calm)
 
-        moved: (strand_count,) each strand's last step over its segments.
-        """
-        self._hold(start, position, moved, -1.0, calm)
-
-    def _hold(self, start: wp.array, position: wp.array, moved: wp.array, calmer: float, calm: float) -> None:
+    def _hold(self, start: wp.array, position: wp.array, ways: Ways, calmer: float, calm: float) -> None:
         limits = [wp.float64(calmer), wp.float64(calm)]
-        self._launch(hold, [self._friction, start, position, self._strand, moved, *limits], PAIR_WORK)
+        self._launch(hold, [self._friction, start, position, self._strand, ways, *limits], PAIR_WORK)
 
     def press(self, start: wp.array, position: wp.array) -> None:
         """Forces and stiffnesses at `position`; lists what acts."""
@@ -182,13 +179,11 @@ class EdgeContacts:
         launcher, edges = self._launcher, self._layout.node_count - 1
         pairs, acts = self.pairs, self._meetings.acts
         inputs = [pairs.first, pairs.incident, acts]
-        counts = [self._counts, self._leading_counts]
-        launcher.launch(count_acting, edges, inputs, counts, work_per_item=LIST_WORK)
-        wp.utils.array_scan(self._counts, self.incident_first, inclusive=False)
-        wp.utils.array_scan(self._leading_counts, self._leading_first, inclusive=False)
-        self.acting_count = int(self._leading_first[-1:].numpy()[0])
-        inputs += [self.incident_first, self._leading_first]
-        launcher.launch(list_acting, edges, inputs, [self.incident, self.acting], work_per_item=LIST_WORK)
+        launcher.launch(count_acting, edges, inputs, [self._counts], work_per_item=LIST_WORK)
+        wp.utils.array_scan(self._counts, self.acting_first, inclusive=False)
+        self.acting_count = int(self.acting_first[-1:].numpy()[0])
+        inputs.append(self.acting_first)
+        launcher.launch(list_acting, edges, inputs, [self.acting], work_per_item=LIST_WORK)
 
     def faults(self) -> np.ndarray:
         """(pair_count,) int32, of CROSSING, OUT_OF_PLACE and DEEP, added; after `press`."""
@@ -214,9 +209,7 @@ class EdgeContacts:
         device, nodes = self._launcher.device, self._layout.node_count
         self._kept = _allocate_held(nodes * int(HELD_AN_EDGE), device)
         self._sought = wp.zeros(nodes, dtype=wp.vec3d, device=device)
-        self._counts, self._leading_counts, self.incident_first, self._leading_first = (
-            wp.zeros(nodes + 1, dtype=wp.int32, device=device) for _ in range(4)
-        )
+        self._counts, self.acting_first = (wp.zeros(nodes + 1, dtype=wp.int32, device=device) for _ in range(2))
 
     def _hold_pairs(self) -> None:
         """Room for as many meetings as there are pairs."""
@@ -226,8 +219,7 @@ class EdgeContacts:
             self._meetings = Meetings()
             for name, dtype in MEETING_ARRAYS.items():
                 setattr(self._meetings, name, wp.zeros(self._room, dtype=dtype, device=device))
-            self.acting = wp.zeros(self._room, dtype=wp.int32, device=device)
-            self.incident = wp.zeros(2 * self._room, dtype=wp.int32, device=device)
+            self.acting = wp.zeros(2 * self._room, dtype=wp.int32, device=device)
         self._meetings.edges = self.pairs.pairs
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from plait.solver.strand_contact.crossing_kernels import distance_of_edges
+from plait.solver.strand_contact.crossing_kernels import distance_of_edges, largest_shift
 from plait.solver.strand_contact.edge_box_kernels import Boxes, Edges, Motion, may_meet_itself
 
 wp.set_module_options({"enable_backward": False})
@@ -256,12 +256,7 @@ def come_near(search: Search, a: int, b: int) -> bool:
     u1 = c1 - a1
     v0 = d0 - b0
     v1 = d1 - b1
-    fastest = wp.sqrt(
-        wp.max(
-            wp.max(wp.length_sq(u0 - v0), wp.length_sq(u0 - v1)),
-            wp.max(wp.length_sq(u1 - v0), wp.length_sq(u1 - v1)),
-        )
-    )
+    fastest = largest_shift(u0, u1, v0, v1)
     limit = motion.widen * (search.edges.reach[a] + search.edges.reach[b] + wp.float64(2.0) * motion.margin)
     if motion.bulge > wp.float64(0.0):
         limit += motion.bulge * wp.max(wp.length(u0), wp.length(u1)) + motion.bulge * wp.max(

@@ -14,11 +14,18 @@ from __future__ import annotations
 
 import warp as wp
 
-from plait.solver.strand_contact.crossing_kernels import closest_on_edges, first_touch, may_cross
+from plait.solver.strand_contact.crossing_kernels import (
+    closest_on_edges,
+    first_touch,
+    largest_shift,
+    least_distance,
+    may_cross,
+)
 
 wp.set_module_options({"enable_backward": False})
 
 ZERO = wp.constant(wp.float64(0.0))
+HALF = wp.constant(wp.float64(0.5))
 ONE = wp.constant(wp.float64(1.0))
 TWO = wp.constant(wp.float64(2.0))
 # Contacts may be nearer, or press from further, by this part of the distance that two of the thinner would keep.
@@ -46,6 +53,7 @@ class Meetings:
 
     edges: wp.array(dtype=wp.vec2i)  # a, b
     apart: wp.array(dtype=wp.vec3d)  # [m] from b to a at the start
+    clear_until: wp.array(dtype=wp.float64)  # [m] way of their strands together for which they surely keep apart
     place: wp.array(dtype=wp.vec2d)  # where on a and on b, 0 to 1
     normal: wp.array(dtype=wp.vec3d)  # from b to a
     target: wp.array(dtype=wp.float64)  # [m] distance to keep
@@ -64,6 +72,15 @@ class Meetings:
     acts: wp.array(dtype=wp.int32)  # 1: a force or stiffness there is
     force: wp.array(dtype=wp.vec3d)  # [N] on a
     block: wp.array(dtype=wp.mat33d)  # [N/m] its derivative by -p_a
+
+
+@wp.struct
+class Ways:
+    """How strands move in the passes of a substep, (strand_count,) each."""
+
+    moved: wp.array(dtype=wp.float64)  # the longest displacement in the last step, over the strand's segments
+    travel: wp.array(dtype=wp.float64)  # [m] the way of any node since the first pass, at most
+    stray: wp.array(dtype=wp.float64)  # [m] the furthest that a node is from where it was expected
 
 
 @wp.struct
@@ -118,6 +135,7 @@ def recall(first: int, start: wp.array(dtype=wp.vec3d), held: Held, meetings: Me
     meetings.traction[item] = traction
     meetings.acts[item] = 0
     meetings.turned[item] = 0
+    meetings.clear_until[item] = -ONE
     meetings.swings[item] = 0
     meetings.sliding[item] = wp.vec3d()
 
@@ -166,7 +184,7 @@ def locate(
     reach: wp.array(dtype=wp.float64),
     stiffness: wp.array(dtype=wp.float64),
     strand: wp.array(dtype=wp.int32),
-    moved: wp.array(dtype=wp.float64),
+    ways: Ways,
     steady: wp.float64,
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
@@ -178,11 +196,14 @@ def locate(
     and fro.
 
     reach: (node_count,) [m], half of the distance to keep.  stiffness: (node_count,) [N/m] of the nodes.
-    strand: (node_count,) of each node.  moved: (strand_count,) each strand's last move over its segments.
+    strand: (node_count,) of each node.
     """
     item = first + wp.tid()
     a = meetings.edges[item][0]
     b = meetings.edges[item][1]
+    travelled = ways.travel[strand[a]] + ways.travel[strand[b]]
+    if travelled < meetings.clear_until[item]:
+        return
     a0 = start[a]
     a1 = start[a + 1]
     b0 = start[b]
@@ -194,15 +215,22 @@ def locate(
     lower = wp.min(wp.min(a0, a1), wp.min(c0, c1)) - wp.max(wp.max(b0, b1), wp.max(d0, d1))
     upper = wp.min(wp.min(b0, b1), wp.min(d0, d1)) - wp.max(wp.max(a0, a1), wp.max(c0, c1))
     clear = wp.max(wp.max(lower), wp.max(upper))
-    if clear > wp.max(reach[a], reach[a + 1]) + wp.max(reach[b], reach[b + 1]):
-        # Their boxes are: most pairs.
+    widest = wp.max(reach[a], reach[a + 1]) + wp.max(reach[b], reach[b + 1])
+    apart = meetings.apart[item]
+    before = wp.length(apart)
+    place = closest_on_edges(c0, c1, d0, d1)
+    if clear <= widest:
+        # Not even their boxes keep apart; but their distance changes by no more than their ends move against each other.
+        after = (ONE - place[0]) * c0 + place[0] * c1 - (ONE - place[1]) * d0 - place[1] * d1
+        clear = least_distance(apart, a1 - a0, b1 - b0) + least_distance(after, c1 - c0, d1 - d0)
+        clear = HALF * (clear - largest_shift(c0 - a0, c1 - a1, d0 - b0, d1 - b1))
+    if clear > widest:
         meetings.fault[item] = 0
         meetings.gap[item] = clear
         meetings.slack[item] = clear
+        meetings.clear_until[item] = travelled + clear - widest
         rest(meetings, item)
         return
-    apart = meetings.apart[item]
-    before = wp.length(apart)
     fault = wp.int32(0)
     if may_cross(a0, a1, b0, b1, c0, c1, d0, d1):
         time = first_touch(a0, a1, b0, b1, c0, c1, d0, d1, LEFT * wp.min(before, reach[a] + reach[b]))
@@ -219,7 +247,7 @@ def locate(
             c1 = a1 + time * (c1 - a1)
             d0 = b0 + time * (d0 - b0)
             d1 = b1 + time * (d1 - b1)
-    place = closest_on_edges(c0, c1, d0, d1)
+            place = closest_on_edges(c0, c1, d0, d1)
     s = place[0]
     t = place[1]
     offset = (ONE - s) * c0 + s * c1 - (ONE - t) * d0 - t * d1
@@ -243,7 +271,7 @@ def locate(
     # Towards a root, where the reach goes to nothing, gaps are no more exact than elsewhere on its edge.
     slack = TWO * OVERLAP * wp.min(wp.max(reach[a], reach[a + 1]), wp.max(reach[b], reach[b + 1]))
     keeps = meetings.acts[item] != 0 and held > ZERO and wp.abs(gap) <= slack
-    keeps = keeps and wp.max(moved[strand[a]], moved[strand[b]]) <= steady
+    keeps = keeps and wp.max(ways.moved[strand[a]], ways.moved[strand[b]]) <= steady
     if fault == CROSSING:
         meetings.turned[item] = 1
     elif meetings.turned[item] != 0:
@@ -330,7 +358,8 @@ def press(
     friction: (node_count,) Coulomb coefficient; a pair's is the mean of both.
     """
     item = first + wp.tid()
-    if meetings.stiffness[item] == ZERO:
+    parted = meetings.pressure[item] == ZERO and meetings.gap[item] > ZERO and meetings.acts[item] == 0
+    if meetings.stiffness[item] == ZERO or parted:
         meetings.acts[item] = 0
         return
     pushed = push(friction, start, x, meetings, item)
@@ -351,7 +380,7 @@ def hold(
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
     strand: wp.array(dtype=wp.int32),
-    furthest: wp.array(dtype=wp.float64),
+    ways: Ways,
     calmer: wp.float64,
     calm: wp.float64,
     meetings: Meetings,
@@ -361,13 +390,13 @@ def hold(
     If of its two strands the one that moved further did so by more than `calmer`, up to `calm`. Or if there is less
     of it: what has parted presses no more.
 
-    strand: (node_count,) of each node.  furthest: (strand_count,) each strand's last move.
+    strand: (node_count,) of each node.
     """
     item = first + wp.tid()
     if meetings.stiffness[item] == ZERO or meetings.acts[item] == 0:
         return
     edges = meetings.edges[item]
-    moved = wp.max(furthest[strand[edges[0]]], furthest[strand[edges[1]]])
+    moved = wp.max(ways.moved[strand[edges[0]]], ways.moved[strand[edges[1]]])
     if moved <= calmer:
         return
     pushed = push(friction, start, x, meetings, item)
