@@ -29,6 +29,8 @@ NO_GAP = wp.constant(wp.float64(1.0e-12))
 NEAR_ENOUGH = wp.constant(wp.float64(0.1))
 MAX_ADVANCES = wp.constant(256)
 NEVER = wp.constant(wp.float64(2.0))
+# What is drawn nearer than this part of its radii cannot be told from what is drawn through each other.
+DRAWN_THROUGH = wp.constant(wp.float64(0.05))
 
 
 @wp.func
@@ -263,3 +265,12 @@ def first_touch(
         if distance == ZERO:
             return time
     return time
+
+
+@wp.func
+def drawn_through(radius: wp.array(dtype=wp.float64), a: int, b: int, drawn: wp.float64) -> bool:
+    """Whether edges a and b, `drawn` [m] apart by the artist, are so deep in each other that neither has a side.
+
+    radius: (node_count,) [m].
+    """
+    return drawn < DRAWN_THROUGH * (wp.min(radius[a], radius[a + 1]) + wp.min(radius[b], radius[b + 1]))

@@ -32,6 +32,7 @@ from plait.solver.strands.layout import Layout
 PAIR_WORK, LOCATE_WORK, LIST_WORK = 2, 6, 3
 MEETING_ARRAYS = {
     "apart": wp.vec3d,
+    "drawn": wp.float64,
     "clear_until": wp.float64,
     "place": wp.vec2d,
     "normal": wp.vec3d,
@@ -78,6 +79,8 @@ class EdgeContacts:
         tapered = reach.copy()
         tapered[layout.prescribed] = 0.0
         self._reach = wp.array(tapered, dtype=wp.float64, device=device)
+        self._drawn = wp.array(layout.position, dtype=wp.vec3d, device=device)
+        self._radius = wp.array(layout.radius, dtype=wp.float64, device=device)
         self._friction = wp.array(layout.friction[layout.node_strand], dtype=wp.float64, device=device)
         self._strand = wp.array(layout.node_strand, dtype=wp.int32, device=device)
         self.widest = 2.0 * float(reach.max())
@@ -133,7 +136,7 @@ class EdgeContacts:
         """Begins with the pairs last found, with the forces that they had; within: earlier in this substep."""
         self._allocate()
         self._hold_pairs()
-        inputs = [start, self._kept if within else self._held]
+        inputs = [self._drawn, self._radius, start, self._kept if within else self._held]
         self._launch(recall, inputs, PAIR_WORK)
 
     def forget(self) -> None:

@@ -16,6 +16,8 @@ import warp as wp
 
 from plait.solver.strand_contact.crossing_kernels import (
     closest_on_edges,
+    distance_of_edges,
+    drawn_through,
     first_touch,
     largest_shift,
     least_distance,
@@ -43,6 +45,8 @@ DEEPEST = wp.constant(wp.float64(5.0))
 CROSSING = wp.constant(1)
 OUT_OF_PLACE = wp.constant(2)
 DEEP = wp.constant(4)
+# [m] A way that no strand goes.
+NEVER_AGAIN = wp.constant(wp.float64(1.0e30))
 # Contacts of which each edge remembers the forces for the next substep, the largest of them.
 HELD_AN_EDGE = wp.constant(4)
 
@@ -53,6 +57,7 @@ class Meetings:
 
     edges: wp.array(dtype=wp.vec2i)  # a, b
     apart: wp.array(dtype=wp.vec3d)  # [m] from b to a at the start
+    drawn: wp.array(dtype=wp.float64)  # [m] their distance as drawn
     clear_until: wp.array(dtype=wp.float64)  # [m] way of their strands together for which they surely keep apart
     place: wp.array(dtype=wp.vec2d)  # where on a and on b, 0 to 1
     normal: wp.array(dtype=wp.vec3d)  # from b to a
@@ -115,15 +120,37 @@ def expect(
         expected_out[node] = start[node] + length * velocity[node]
 
 
+@wp.func
+def rest(meetings: Meetings, item: int):
+    """The pair takes no part."""
+    meetings.stiffness[item] = ZERO
+    meetings.pressure[item] = ZERO
+    meetings.traction[item] = wp.vec3d()
+    meetings.heir[item] = -1
+    meetings.acts[item] = 0
+
+
 @wp.kernel
-def recall(first: int, start: wp.array(dtype=wp.vec3d), held: Held, meetings: Meetings):
-    """How a pair begins, and the forces that it had before; one pair an item."""
+def recall(
+    first: int,
+    drawn: wp.array(dtype=wp.vec3d),
+    radius: wp.array(dtype=wp.float64),
+    start: wp.array(dtype=wp.vec3d),
+    held: Held,
+    meetings: Meetings,
+):
+    """How a pair begins, and the forces that it had before; one pair an item.
+
+    drawn: (node_count,) [m] as the artist has drawn them: what is near there is as near as it is meant to be; and
+    what is drawn through each other is no pair.  radius: (node_count,) [m].
+    """
     item = first + wp.tid()
     edges = meetings.edges[item]
     a = edges[0]
     b = edges[1]
     place = closest_on_edges(start[a], start[a + 1], start[b], start[b + 1])
     meetings.apart[item] = along(start, a, place[0]) - along(start, b, place[1])
+    meetings.drawn[item] = distance_of_edges(drawn[a], drawn[a + 1], drawn[b], drawn[b + 1])
     pressure = ZERO
     traction = wp.vec3d()
     for i in range(HELD_AN_EDGE):
@@ -138,6 +165,10 @@ def recall(first: int, start: wp.array(dtype=wp.vec3d), held: Held, meetings: Me
     meetings.clear_until[item] = -ONE
     meetings.swings[item] = 0
     meetings.sliding[item] = wp.vec3d()
+    if drawn_through(radius, a, b, meetings.drawn[item]):
+        meetings.clear_until[item] = NEVER_AGAIN
+        meetings.fault[item] = 0
+        rest(meetings, item)
 
 
 @wp.kernel
@@ -166,16 +197,6 @@ def remember(
                 held_out.other[slot] = meetings.edges[pair][1]
                 held_out.pressure[slot] = meetings.pressure[pair]
                 held_out.traction[slot] = meetings.traction[pair]
-
-
-@wp.func
-def rest(meetings: Meetings, item: int):
-    """The pair takes no part."""
-    meetings.stiffness[item] = ZERO
-    meetings.pressure[item] = ZERO
-    meetings.traction[item] = wp.vec3d()
-    meetings.heir[item] = -1
-    meetings.acts[item] = 0
 
 
 @wp.kernel
@@ -256,6 +277,7 @@ def locate(
     if distance > ZERO:
         normal = offset / distance
     full = (ONE - s) * reach[a] + s * reach[a + 1] + (ONE - t) * reach[b] + t * reach[b + 1]
+    full = wp.min(full, meetings.drawn[item])
     target = full
     if before < full:
         target = before + REGAINED * (full - before)

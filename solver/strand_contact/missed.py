@@ -19,7 +19,7 @@ class MissedCollisions:
 
     Every pair of edges without a common node is looked at whose swept boxes overlap, without any padding; whether
     they touch is told by the roots of the cubic of coplanarity (`missed_kernels`), nothing that the solver uses to
-    keep strands apart. Edges nearer than 1e-9 of their length touch.
+    keep strands apart. Edges nearer than 1e-9 of their length touch. Edges drawn through each other are left out.
 
     pairs: (n, 2) int32, edges (a, b) that touched in the last `count`.
     """
@@ -27,6 +27,8 @@ class MissedCollisions:
     def __init__(self, launcher: Launcher, layout: Layout) -> None:
         self._launcher = launcher
         nowhere = np.zeros(layout.node_count)
+        self._drawn = wp.array(layout.position, dtype=wp.vec3d, device=launcher.device)
+        self._radius = wp.array(layout.radius, dtype=wp.float64, device=launcher.device)
         self._edge_pairs = EdgePairs(
             launcher, layout, nowhere, prescribed=nowhere > 0.0, straight=np.inf, near_only=False
         )
@@ -37,7 +39,7 @@ class MissedCollisions:
         found = self._edge_pairs
         found.find(start, end, 0.0)
         missed = wp.empty(found.count, dtype=wp.int32, device=self._launcher.device)
-        inputs = [found.pairs, start, end]
+        inputs = [found.pairs, self._drawn, self._radius, start, end]
         self._launcher.launch(find_missed, found.count, inputs, [missed], work_per_item=PAIR_WORK)
         self.pairs = found.pairs.numpy()[missed.numpy() == 1]
         return len(self.pairs)

@@ -10,7 +10,14 @@ from __future__ import annotations
 
 import warp as wp
 
-from plait.solver.strand_contact.crossing_kernels import HALF, ONE, ZERO, distance_of_edges, triple
+from plait.solver.strand_contact.crossing_kernels import (
+    HALF,
+    ONE,
+    ZERO,
+    distance_of_edges,
+    drawn_through,
+    triple,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -194,11 +201,13 @@ def pass_through(pair: MovingPair) -> bool:
 def find_missed(
     first: int,
     pairs: wp.array(dtype=wp.vec2i),
+    drawn: wp.array(dtype=wp.vec3d),
+    radius: wp.array(dtype=wp.float64),
     start: wp.array(dtype=wp.vec3d),
     end: wp.array(dtype=wp.vec3d),
     missed_out: wp.array(dtype=wp.int32),
 ):
-    """1 for every pair of edges that passes through each other."""
+    """1 for every pair of edges that passes through each other and is not `drawn` so."""
     item = first + wp.tid()
     a = pairs[item][0]
     b = pairs[item][1]
@@ -209,4 +218,7 @@ def find_missed(
     pair.p_end = end[b] - end[a]
     pair.q = start[b + 1] - start[a]
     pair.q_end = end[b + 1] - end[a]
-    missed_out[item] = wp.where(pass_through(pair), 1, 0)
+    missed_out[item] = 0
+    if pass_through(pair):
+        apart = distance_of_edges(drawn[a], drawn[a + 1], drawn[b], drawn[b + 1])
+        missed_out[item] = wp.where(drawn_through(radius, a, b, apart), 0, 1)

@@ -24,6 +24,7 @@ def layout_of(strands: list[np.ndarray]) -> SimpleNamespace:
         edge_length=np.concatenate(lengths),
         node_count=int(first_node[-1]),
         strand_count=len(nodes),
+        radius=np.zeros(int(first_node[-1])),
     )
 
 

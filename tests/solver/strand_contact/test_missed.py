@@ -23,7 +23,8 @@ def touches(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     pairs = wp.array(np.stack([first, first + 2], axis=1), dtype=wp.vec2i)
     poses = [wp.array(x.reshape(-1, 3), dtype=wp.vec3d) for x in (start, end)]
     missed = wp.zeros(len(start), dtype=wp.int32)
-    LAUNCHER.launch(find_missed, len(start), [pairs, *poses], [missed])
+    thin = wp.zeros(4 * len(start), dtype=wp.float64)
+    LAUNCHER.launch(find_missed, len(start), [pairs, poses[0], thin, *poses], [missed])
     return missed.numpy() == 1
 
 
