@@ -24,6 +24,8 @@ CALM = 0.003
 SETTLED, STILL, ADRIFT, PATIENT = 0.02, 0.003, 0.03, 3
 # After so many passes, contacts of strands that move less than this part of a segment keep their places.
 FREE_PLACES, STEADY = 3, 0.2
+# Strands that are not settled go on alone when they are, with those they push, less than this part of those at play.
+FEW = 0.5
 # Passes with full steps; what then still goes to and fro is damped.
 UNRELAXED, RELAXED = 5, 0.6
 # After so many passes the most is enough, and contacts may be out of place but not deep.
@@ -145,8 +147,14 @@ class StrandContact:
             self.contacts.press(self._start, solve.position)
             solve.linearise()
             stands = bool(done) and self._at_an_end(done)
+            if stands and not solve.all_play:
+                solve.play(*self._surfaces, self._expected)
+                solve.linearise()
+                stands = self._at_an_end(done)
             if stands or done == self._settings.passes:
                 break
+            if done >= FREE_PLACES and self.ties is None:
+                self._let_others_be(done)
             solve.step(1.0 if done < UNRELAXED else RELAXED)
             if self.ties is not None:
                 self.ties.hold()
@@ -205,14 +213,29 @@ class StrandContact:
     def _at_an_end(self, done: int) -> bool:
         """Whether every strand is in balance, has gone through none, is in place and keeps to what it is tied to."""
         solve = self._solve
-        if not solve.solved or not solve.settled(
-            SETTLED, ADRIFT if done >= ENOUGH else STILL, ADRIFT, together=done >= PATIENT
-        ):
+        if not solve.solved or not solve.settled_strands(*self._tolerance(done)).all():
             return False
         faults = self.contacts.faults()
         fault = int(np.bitwise_or.reduce(faults)) if len(faults) else 0
         tied = self.ties is None or self.ties.hold_exactly
         return tied and (fault == 0 or (done >= ENOUGH and fault & int(CROSSING | DEEP) == 0))
+
+    def _let_others_be(self, done: int) -> None:
+        """Only strands that are not settled go on, with those that they push, where these are few."""
+        solve, meetings = self._solve, self.contacts.meetings
+        count = self.contacts.pairs.count
+        restless = ~solve.settled_strands(*self._tolerance(done))
+        strands = self._layout.node_strand[self.contacts.pairs.pairs.numpy()[:count]]
+        restless[strands[self.contacts.faults() > 0]] = True
+        pushing = strands[meetings.acts.numpy()[:count] > 0]
+        beside = restless.copy()
+        beside[pushing[restless[pushing].any(axis=1)]] = True
+        if beside.sum() < FEW * solve.playing_count:
+            solve.play(*self._surfaces, self._expected, np.flatnonzero(beside).astype(np.int32))
+            solve.linearise()
+
+    def _tolerance(self, done: int) -> tuple[float, float, float, bool]:
+        return SETTLED, ADRIFT if done >= ENOUGH else STILL, ADRIFT, done >= PATIENT
 
     def _too_fast(self) -> bool:
         """Whether strands now go further through each other than passes can put right."""

@@ -25,6 +25,8 @@ MAX_LINEAR_ITERATIONS = 40
 # The same where strands are free, as what is left is momentum lost; and where ties are stiff between strands, as
 # the preconditioner hardly sees their common motion.
 FREE_TOLERANCE, TIED_TOLERANCE, MAX_TIED_ITERATIONS = 1e-5, 1e-10, 400
+# How far strands out of play move: less than not at all, so that nothing between them changes.
+AT_REST = -2.0
 # Cost of an item in units of `Launcher.launch`.
 NODE_WORK = 8
 
@@ -97,8 +99,11 @@ class CoupledSolve:
     ) -> None:
         """Newton steps from now on are of `strands`, of all if None; the others stay where they are."""
         self._playing = self.strands if strands is None else strands
-        if len(self._playing) < len(self.strands):
+        if not self.all_play:
             self._scratch.solution.zero_()
+            moved = np.full(self._layout.strand_count, AT_REST)
+            moved[self._playing] = self.ways.moved.numpy()[self._playing]
+            self.ways.moved.assign(moved)
         self._count, self._active = len(self._playing), self._hold(self._playing)
         self._record(planes, constrained, expected)
 
@@ -171,22 +176,32 @@ class CoupledSolve:
             self.iterations += 1
         self._relaxation.fill_(relaxation)
         self._advance()
-        fresh = np.isnan(self._pace)
-        if fresh.any():
-            self._pace = np.where(fresh, self.ways.moved.numpy(), self._pace)
+        fresh = self._playing[np.isnan(self._pace[self._playing])]
+        if len(fresh):
+            self._pace[fresh] = self.ways.moved.numpy()[fresh]
 
     def largest(self, values: wp.array) -> float:
         """Over the strands in play, of (strand_count,)."""
         return float(values.numpy()[self._playing].max())
 
-    def settled(self, part: float, least: float, most: float, *, together: bool) -> bool:
-        """Whether no strand in play has more `left` than `part` of its first step, from `least` to `most` segments.
+    def settled_strands(self, part: float, least: float, most: float, together: bool) -> np.ndarray:
+        """(strand_count,) bool: those out of play; and those that have no more `left` than `part` of their first step.
 
-        together: than `part` of the longest first step of any.
+        least, most: [segments] limits of that.  together: than `part` of the longest first step of any in play.
         """
+        settled = np.ones(self._layout.strand_count, dtype=bool)
         pace = self._pace[self._playing]
         allowed = np.clip(part * (pace.max() if together else pace), least, most)
-        return bool((self.left.numpy()[self._playing] <= allowed).all())
+        settled[self._playing] = self.left.numpy()[self._playing] <= allowed
+        return settled
+
+    @property
+    def all_play(self) -> bool:
+        return len(self._playing) == len(self.strands)
+
+    @property
+    def playing_count(self) -> int:
+        return len(self._playing)
 
     @property
     def solved(self) -> bool:
