@@ -45,6 +45,8 @@ DEEPEST = wp.constant(wp.float64(5.0))
 CROSSING = wp.constant(1)
 OUT_OF_PLACE = wp.constant(2)
 DEEP = wp.constant(4)
+# A contact that has changed the way it slides so often is damped for good, others for one pass.
+SWINGS = wp.constant(3)
 # [m] A way that no strand goes.
 NEVER_AGAIN = wp.constant(wp.float64(1.0e30))
 # Contacts of which each edge remembers the forces for the next substep, the largest of them.
@@ -70,7 +72,7 @@ class Meetings:
     pressure: wp.array(dtype=wp.float64)  # [N] held
     traction: wp.array(dtype=wp.vec3d)  # [N] held
     sliding: wp.array(dtype=wp.vec3d)  # direction of the traction of what slid in the last pass
-    swings: wp.array(dtype=wp.int32)  # 1: what slid one way in a pass slid the other way in the next
+    swings: wp.array(dtype=wp.int32)  # how often what slid one way in a pass slid the other way in the next
     heir: wp.array(dtype=wp.int32)  # the pair, beyond a node, to which these have passed; -1: none
     passed_pressure: wp.array(dtype=wp.float64)  # [N] to it, and
     passed_traction: wp.array(dtype=wp.vec3d)
@@ -362,7 +364,7 @@ def push(
                 out.traction = bound * direction
                 out.sliding = direction
                 out.block += (k * bound / size) * across
-                if meetings.swings[item] == 0 and wp.dot(direction, meetings.sliding[item]) >= ZERO:
+                if meetings.swings[item] < SWINGS and wp.dot(direction, meetings.sliding[item]) >= ZERO:
                     out.block -= (k * bound / size) * wp.outer(direction, direction)
     return out
 
@@ -389,7 +391,7 @@ def press(
     meetings.force[item] = pushed.pressure * meetings.normal[item] + pushed.traction
     meetings.block[item] = pushed.block
     if wp.dot(pushed.sliding, meetings.sliding[item]) < ZERO:
-        meetings.swings[item] = 1
+        meetings.swings[item] = meetings.swings[item] + 1
     meetings.sliding[item] = pushed.sliding
     if pushed.pressure > ZERO and meetings.gap[item] > meetings.slack[item]:
         meetings.fault[item] = meetings.fault[item] | OUT_OF_PLACE
