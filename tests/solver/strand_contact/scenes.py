@@ -54,6 +54,41 @@ def tubes(strands: int = 90, segments: int = 60) -> Case:
     return Case(strand_scenes.tubes(strands, segments), frames=100)
 
 
+def mat(tiles: int = 1, segments: int = 30) -> Case:
+    """A layer of strands falls 1 mm on another one drawn tight across it: soon a contact a segment.
+
+    A tile is 60 strands of 30 cm each way, 5 mm apart; tiles lie in a row, those of the upper layer half a tile
+    on, so that all strands hang together.
+    """
+    length, count = 0.3, 60
+    spacing, above = length / count, 2.0 * TUBE.radius + TUBE_THICKNESS + 1e-3
+    weight = TUBE.density * TUBE.area * length * GRAVITY
+    random = np.random.default_rng(1)
+
+    def layer(direction: np.ndarray, across: np.ndarray, start: np.ndarray) -> list[np.ndarray]:
+        """No strand is quite straight across others, nor quite in its place."""
+        aside = 0.1 * spacing * random.uniform(-1.0, 1.0, (count, 2, 1)) * across
+        return [
+            np.linspace(
+                start + spacing * (k + 0.5) * across + aside[k, 0],
+                start + spacing * (k + 0.5) * across + aside[k, 1] + length * direction,
+                segments + 1,
+            )
+            for k in range(count)
+        ]
+
+    x, y, z = np.eye(3)
+    lower = [shape for k in range(tiles) for shape in layer(z, x, length * k * x)]
+    upper = [
+        shape for k in range(tiles) for shape in layer(x, z, length * (k + 0.5 * (tiles > 1)) * x + above * y)
+    ]
+    pull = tip_loads(lower, 10.0 * weight * z)
+    surface_a, a = rods("lower", lower, TUBE, rest_shape="authored", loads=pull, surface=0)
+    surface_b, b = rods("upper", upper, TUBE, rest_shape="authored", surface=1)
+    both = tuple(replace(s, thickness=TUBE_THICKNESS) for s in (a, b))
+    return Case(Scene(surfaces=(surface_a, surface_b), strands=both), frames=4)
+
+
 def sphere(rings: int, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Points and triangles of a closed sphere that face out."""
     polar, turn = np.pi * np.arange(1, rings) / rings, np.pi * np.arange(2 * rings) / rings
@@ -281,5 +316,5 @@ def alone(strands: int = 16, segments: int = 30) -> Case:
 
 
 CASES: dict[str, Callable[..., Case]] = {
-    case.__name__: case for case in (tubes, head, crossing, capstan, incline, braid, unbraid, landing, alone)
+    case.__name__: case for case in (tubes, mat, head, crossing, capstan, incline, braid, unbraid, landing, alone)
 }
