@@ -126,7 +126,7 @@ def newton_row(name: str, found: dict[str, Any]) -> str:
     most = max(row["contacts_a_segment"] for row in frames)
     return (
         f"| {name} | Newton {found['version']}, {found['sweeps']} sweeps, up to {most:.2f} contacts a segment "
-        f"| {found['segments']:,} | {found['missed']} | joints {found['joints_open']:.2g} segments wide "
+        f"| {found['segments']:,} | {'-' if found['missed'] is None else found['missed']} | joints {found['joints_open']:.2g} segments wide "
         f"| | | {each:.2f} | {8 * len(found['frames'])} | | |"
     )
 
@@ -223,7 +223,7 @@ def _run(options: argparse.Namespace, name: str, method: str, threads: int) -> d
     size = {key: float(value) if "." in value else int(value) for key, value in _pairs(options.size)}
     case = CASES[name](**size)
     if method == "newton":
-        found = newton_strands.measure(case.scene, options.frames or case.frames)
+        found = newton_strands.measure(case.scene, options.frames or case.frames, judged=not options.unjudged)
         print(newton_row(name, found), flush=True)
     else:
         found = measure(
