@@ -124,9 +124,10 @@ def newton_row(name: str, found: dict[str, Any]) -> str:
     frames = found["frames"][1:]
     each = float(np.median([row["us_per_segment_substep"] for row in frames]))
     most = max(row["contacts_a_segment"] for row in frames)
+    missed = "-" if found["missed"] is None else found["missed"]
     return (
         f"| {name} | Newton {found['version']}, {found['sweeps']} sweeps, up to {most:.2f} contacts a segment "
-        f"| {found['segments']:,} | {'-' if found['missed'] is None else found['missed']} | joints {found['joints_open']:.2g} segments wide "
+        f"| {found['segments']:,} | {missed} | joints {found['joints_open']:.2g} segments wide "
         f"| | | {each:.2f} | {8 * len(found['frames'])} | | |"
     )
 
