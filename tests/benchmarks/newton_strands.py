@@ -29,8 +29,8 @@ SWEEPS = 10  # its default
 def measure(scene: Scene, frames: int, *, judged: bool = True, sweeps: int = SWEEPS) -> dict[str, Any]:
     """By frame microseconds per segment and step, and contacts a segment.
 
-    missed: collisions, in all, unless not `judged`.  joints_open: at the end, the widest joint, over a segment; not
-        a number where the motion has lost all bounds.
+    missed: collisions, in all, unless not `judged`.  joints_open: at the end, the widest joint, over a segment;
+        not a number where the motion has lost all bounds.
     """
     import newton
 
