@@ -121,7 +121,7 @@ def test_strands_drawn_exactly_on_each_other(seed):
 
 @seeds(quick=True)
 def test_strands_drawn_nearer_than_their_distance(seed):
-    """Parallel strands at a tenth to nine tenths of their distance fall side by side, none thrown from its place."""
+    """Parallel strands at a tenth to nine tenths of their distance fall side by side; none is thrown out."""
     random = np.random.default_rng(seed)
     places = np.cumsum(DISTANCE * random.uniform(0.1, 0.9, 8))
     shapes = [straight(15, 0.2, (1.0, -0.2, 0.0), (0.0, 0.0, z)) for z in places]
