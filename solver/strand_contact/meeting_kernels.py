@@ -104,6 +104,14 @@ def along(x: wp.array(dtype=wp.vec3d), edge: int, place: wp.float64):
     return (ONE - place) * x[edge] + place * x[edge + 1]
 
 
+@wp.func
+def between(a0: wp.vec3d, a1: wp.vec3d, b0: wp.vec3d, b1: wp.vec3d, place: wp.vec2d):
+    """From a place on edge b to one on edge a."""
+    s = place[0]
+    t = place[1]
+    return (ONE - s) * a0 + s * a1 - (ONE - t) * b0 - t * b1
+
+
 @wp.kernel
 def expect(
     first: int,
@@ -244,7 +252,7 @@ def locate(
     place = closest_on_edges(c0, c1, d0, d1)
     if clear <= widest:
         # Not even their boxes keep apart; but their distance changes by no more than their ends move against each other.
-        after = (ONE - place[0]) * c0 + place[0] * c1 - (ONE - place[1]) * d0 - place[1] * d1
+        after = between(c0, c1, d0, d1, place)
         clear = least_distance(apart, a1 - a0, b1 - b0) + least_distance(after, c1 - c0, d1 - d0)
         clear = HALF * (clear - largest_shift(c0 - a0, c1 - a1, d0 - b0, d1 - b1))
     if clear > widest:
@@ -255,8 +263,14 @@ def locate(
         rest(meetings, item)
         return
     fault = wp.int32(0)
-    if may_cross(a0, a1, b0, b1, c0, c1, d0, d1):
-        time = first_touch(a0, a1, b0, b1, c0, c1, d0, d1, LEFT * wp.min(before, reach[a] + reach[b]))
+    least = LEFT * wp.min(before, reach[a] + reach[b])
+    suspect = may_cross(a0, a1, b0, b1, c0, c1, d0, d1)
+    if not suspect:
+        # So near an end on the right side that the closest points, which are drawn to the middles, show another.
+        if wp.dot(between(c0, c1, d0, d1, place), apart) <= ZERO:
+            suspect = distance_of_edges(c0, c1, d0, d1) < least
+    if suspect:
+        time = first_touch(a0, a1, b0, b1, c0, c1, d0, d1, least)
         if time == ZERO:
             # They touch where they start: neither has a side that it could be kept on.
             meetings.fault[item] = 0
@@ -273,7 +287,7 @@ def locate(
             place = closest_on_edges(c0, c1, d0, d1)
     s = place[0]
     t = place[1]
-    offset = (ONE - s) * c0 + s * c1 - (ONE - t) * d0 - t * d1
+    offset = between(c0, c1, d0, d1, place)
     distance = wp.length(offset)
     normal = wp.vec3d()
     if distance > ZERO:

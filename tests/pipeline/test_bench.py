@@ -232,6 +232,9 @@ def test_every_case_is_listed(capsys):
         "shaken-hair",
         "bar-bending",
         "bar-ringing",
+        "capstan",
+        "tubes",
+        "crossing",
     ]
 
 

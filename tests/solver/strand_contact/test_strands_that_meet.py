@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from plait.pipeline.benchmarks.strand_scenes import CAPSTAN_LOAD
 from plait.solver.settings import Settings, StrandContactSettings
 from plait.solver.step import Simulation
 
@@ -140,7 +141,7 @@ def test_capstan(friction, degrees):
     for frame in range(16):
         simulation.advance_frame((frame + 1) * FRAME)
         pull = simulation.state.arrays["strands/tension"].numpy()[2]  # of the second edge; the first is clamped
-        ratios.append(pull / scenes.CAPSTAN_LOAD)
+        ratios.append(pull / CAPSTAN_LOAD)
     assert np.mean(ratios[8:]) == pytest.approx(np.exp(friction * np.radians(degrees)), rel=0.02)
 
 
