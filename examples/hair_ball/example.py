@@ -26,10 +26,10 @@ from plait.solver.strand_contact.missed import MissedCollisions
 
 FRAMES_PER_SECOND, SUBSTEPS = 24, 8
 RADIUS, LENGTH = 0.04, 0.1  # [m] of the ball, of the hair
-SHAKEN = 1.5  # [s]
+SHAKEN = 1.0  # [s]
 SWAY, LIFT, TURN = 0.05, 0.02, 0.4 * np.pi  # [m], [m], [rad] to either side
 METHODS = {"implicit": "contact", "none": "no contact"}
-BESIDE = 0.3  # [m] between the balls of the picture
+BESIDE = 0.24  # [m] between the balls of the picture
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class Size:
 
 
 SIZES = {
-    "small": Size(100, 1e-3, 12, 30),
-    "default": Size(300, 1e-3, 16, 48),
+    "small": Size(60, 1.2e-3, 10, 20),
+    "default": Size(160, 1.2e-3, 14, 36),
     "full": Size(32000, 0.06e-3, 60, 60),
 }
 
@@ -53,11 +53,12 @@ SIZES = {
 class Result:
     """Of one method. points: (frame_count, hairs, node_count, 3) [m].
     missed: pairs of segments that passed through each other, over all substeps.
-    strain: the largest of all frames."""
+    strain, volume: the largest and the least of all frames; the latter as `kept` has it."""
 
     points: np.ndarray
     missed: int
     strain: float
+    volume: float
 
 
 def moved(time: float) -> np.ndarray:
@@ -117,7 +118,8 @@ def run(size: Size, method: str) -> Result:
         if substep % SUBSTEPS == 0:
             points.append(stage.points(0))
     simulation.close()
-    return Result(np.array(points).reshape(len(points), size.hairs, -1, 3), missed, strain)
+    found = np.array(points).reshape(len(points), size.hairs, -1, 3)
+    return Result(found, missed, strain, min(kept(one, size.radius) for one in found))
 
 
 def kept(points: np.ndarray, radius: float) -> float:
@@ -146,6 +148,8 @@ def check(size: Size, results: dict[str, Result]) -> None:
     with_contact, without = results["implicit"], results["none"]
     assert without.missed > size.hairs
     assert with_contact.missed == 0
+    # Hairs in contact may be a tenth nearer than they are thick, where two discs lose 2 % each to each other.
+    assert with_contact.volume > 0.98 and with_contact.volume > without.volume
     assert with_contact.strain < 0.03
     for frame, points in enumerate(with_contact.points):
         local = points - moved(frame / FRAMES_PER_SECOND)[:3, 3]
@@ -195,14 +199,13 @@ def main(folder: Path, draw: bool = True, size: str = "default") -> None:
     chosen, results = SIZES[size], {}
     for method, name in METHODS.items():
         results[method] = found = run(chosen, method)
-        volume = min(kept(points, chosen.radius) for points in found.points)
         strain = f"largest strain {100.0 * found.strain:.2g} %"
-        print(f"{name}: {found.missed} passed through, {100.0 * volume:.3g} % of the volume kept, {strain}")
+        print(f"{name}: {found.missed} passed through, {100.0 * found.volume:.3g} % of the volume kept, {strain}")
     path = folder / "hair_ball.usdc"
     write(chosen, results, path)
     check(chosen, results)
     if draw:
-        render_still(path, path.with_suffix(".jpg"), frame=len(results["none"].points) - 1, size=(960, 400))
+        render_still(path, path.with_suffix(".jpg"), frame=len(results["none"].points) - 1, size=(960, 380))
 
 
 if __name__ == "__main__":
