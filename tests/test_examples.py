@@ -132,3 +132,19 @@ def test_hair_on_a_ball_that_overlaps_or_passes_through_fails_its_check():
     for broken in ({"missed": 1}, {"strain": 0.1}, {"volume": 0.9}, {"points": inside}):
         with pytest.raises(AssertionError):
             example.check(size, {"implicit": example.replace(held, **broken), "none": without})
+
+
+def test_hair_that_goes_stiffly_with_the_head_fails_its_check():
+    """Neither swings as she walks, nor flies out as she dances, nor wraps."""
+    walking, dancer = (
+        load(next(folder for folder in EXAMPLES if folder.name == name))
+        for name in ("walking_with_hair", "dancer")
+    )
+    np, frames = walking.np, 33
+    head = np.array([[0.0, 170.0, 0.0]])
+    hair = np.array([[[0.0, 165.0, 10.0], [0.0, 140.0, 12.0]]] * 4)
+    moved = np.linspace(0.0, 1.0, frames)[:, None] * [0.0, 0.0, 200.0]
+    worn = walking.wig.Worn(hair + moved[:, None, None], head + moved[:, None], np.zeros((0, 3), int))
+    for example in (walking, dancer):
+        with pytest.raises(AssertionError):
+            example.check(worn)
