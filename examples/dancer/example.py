@@ -33,7 +33,7 @@ LENGTH = (26.0, 10.0)  # [cm] of the lowest strands, and what the highest have m
 SIZES = {
     "small": Size(32, wig.Wig(60, 12, 0.4, LENGTH)),
     "default": Size(60, wig.Wig(400, 18, 0.2, LENGTH)),
-    "full": Size(72, wig.Wig(10000, 49, 0.03, LENGTH)),
+    "full": Size(72, wig.Wig(10000, 49, 0.07, LENGTH)),
 }
 
 

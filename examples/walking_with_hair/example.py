@@ -31,7 +31,7 @@ class Size:
 SIZES = {
     "small": Size(16, wig.Wig(60, 10, 0.4)),
     "default": Size(60, wig.Wig(400, 16, 0.2)),
-    "full": Size(72, wig.Wig(20000, 50, 0.02)),
+    "full": Size(72, wig.Wig(20000, 50, 0.05)),
 }
 
 
