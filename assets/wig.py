@@ -82,7 +82,7 @@ def grow(wig: Wig, points: np.ndarray, triangles: np.ndarray) -> groom.Groom:
 
 
 def spread(strands: np.ndarray, wig: Wig) -> np.ndarray:
-    """(strands, FINE, 3) moved apart until they keep `Wig.width`, and from the skin; their first points stay."""
+    """(strands, FINE, 3) moved apart, so that few are nearer than `Wig.width`, and off the skin; their first points stay."""
     moved, kept = strands.copy(), 1.15 * wig.width
     clearance = np.full(moved[:, 2:].size // 3, wig.style.clearance)
     for _ in range(ROUNDS):
