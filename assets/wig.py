@@ -6,7 +6,7 @@ Centimetres, Y up, facing +Z.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +30,7 @@ CAMERA = generate.WORLD.AppendChild("Camera")
 DRAWN = 1.5  # widths of `Wig.width` that strands are drawn with: locks are soft
 THICKNESS = 0.025  # [cm] of a strand's mechanics: it stands for a lock of hair, which is as wide as `Wig.width`
 DAMPING = 6.0  # [1/s] air, and the hair within a lock
-FINE, ROUNDS, SMOOTHINGS = 96, 100, 20  # points of a strand, and rounds, in which strands are moved apart
+FINE, ROUNDS = 192, 60  # points of a strand, and rounds, in which strands are moved apart
 # linear RGB
 SKIN, DARK, LIGHT = np.array([[0.42, 0.43, 0.45], [0.10, 0.035, 0.014], [0.36, 0.15, 0.05]])
 
@@ -49,7 +49,7 @@ class Wig:
     def style(self) -> groom.Style:
         return groom.Style(
             strands=self.strands,
-            points=FINE,
+            points=self.segments + 1,
             length=self.length,
             clearance=self.width,
             layers=0.8,
@@ -76,30 +76,31 @@ def author(stage: Usd.Stage, wig: Wig, codes: np.ndarray, choreography: Choreogr
 def grow(wig: Wig, points: np.ndarray, triangles: np.ndarray) -> groom.Groom:
     """On a skin of points (n, 3) [cm] and triangles (m, 3); strands keep off each other."""
     hair = groom.build(points, triangles, wig.style)
-    strands = spread(hair.points, wig)
-    length = np.linalg.norm(np.diff(strands, axis=1), axis=2).sum(axis=1)
-    return groom.Groom(groom.resample(strands, length, wig.segments + 1), hair.face, hair.uv)
+    return replace(hair, points=spread(hair.points, wig))
 
 
 def spread(strands: np.ndarray, wig: Wig) -> np.ndarray:
-    """(strands, FINE, 3) moved apart, so that few are nearer than `Wig.width`, and off the skin; their first points stay."""
+    """(strands, points, 3) off the skin, few nearer each other than `Wig.width`; their first two points stay.
+
+    Seen as points much nearer to each other than to the next strand, each is pushed away from others' that are too
+    near; the strand's own points take over the mean of those on the segments beside them.
+    """
     moved, kept = strands.copy(), 1.15 * wig.width
+    count = moved.shape[1]
+    weights = np.maximum(0.0, 1.0 - np.abs(np.linspace(0.0, count - 1.0, FINE)[:, None] - np.arange(count)))
     clearance = np.full(moved[:, 2:].size // 3, wig.style.clearance)
     for _ in range(ROUNDS):
-        places = moved.reshape(-1, 3)
+        places = (weights @ moved).reshape(-1, 3)
         near = cKDTree(places).query_pairs(kept, output_type="ndarray")
         near = near[near[:, 0] // FINE != near[:, 1] // FINE]
         offset = places[near[:, 0]] - places[near[:, 1]]
         far = np.linalg.norm(offset, axis=1, keepdims=True)
-        push = 0.5 * (kept - far) * offset / np.maximum(far, 1e-6)
-        total, count = np.zeros_like(places), np.zeros((len(places), 1))
-        for side, sign in ((0, 1.0), (1, -1.0)):
-            np.add.at(total, near[:, side], sign * push)
-            np.add.at(count, near[:, side], 1.0)
-        step = (2.0 * total / np.maximum(count, 1.0)).reshape(moved.shape)
-        for _ in range(SMOOTHINGS):  # strands bend, and do not kink
-            step[:, 1:-1] = 0.25 * step[:, :-2] + 0.5 * step[:, 1:-1] + 0.25 * step[:, 2:]
-        moved[:, 2:] += step[:, 2:]
+        push = np.column_stack([(kept - far) * offset / np.maximum(far, 1e-6), np.ones(len(near))])
+        total = np.zeros((len(places), 4))
+        np.add.at(total, near[:, 0], push)
+        np.add.at(total, near[:, 1], push * (-1.0, -1.0, -1.0, 1.0))
+        taken = weights.T @ total.reshape(len(moved), FINE, 4)
+        moved[:, 2:] += (taken[..., :3] / np.maximum(taken[..., 3:], 1e-6))[:, 2:]
         free = moved[:, 2:].reshape(-1, 3)
         moved[:, 2:] = groom.outside(free, clearance, wig.style.distance).reshape(len(moved), -1, 3)
     return moved

@@ -147,7 +147,7 @@ def kept(points: np.ndarray, radius: float) -> float:
 def check(size: Size, results: dict[str, Result]) -> None:
     """What must be seen; AssertionError if it is not."""
     with_contact, without = results["implicit"], results["none"]
-    assert without.missed > size.hairs
+    assert without.missed > size.hairs // 2
     assert with_contact.missed == 0
     # Hairs in contact may be a tenth nearer than they are thick, where two discs lose 2 % each to each other.
     assert with_contact.volume > 0.98 and with_contact.volume > without.volume
