@@ -117,3 +117,34 @@ def test_hair_that_stays_braided_or_passes_through_fails_its_check():
     for broken in ({"points": never}, {"points": still}, {"missed": 1}, {"strain": 0.1}):
         with pytest.raises(AssertionError):
             example.check(size, example.replace(held, **broken))
+
+
+def test_hair_on_a_ball_that_overlaps_or_passes_through_fails_its_check():
+    example = load(next(folder for folder in EXAMPLES if folder.name == "hair_ball"))
+    size, np = example.SIZES["small"], example.np
+    straight = example.scene(size).strands[0].points.reshape(1, size.hairs, -1, 3)
+    without = example.Result(straight, missed=1000, strain=0.0, volume=0.9)
+    held = example.replace(without, missed=0, volume=example.kept(straight[0], size.radius))
+    assert held.volume > 0.99  # none overlaps; and half of them is left of hairs that are two and two in one place
+    assert example.kept(np.repeat(straight[0, ::2], 2, axis=0), size.radius) == pytest.approx(0.5, abs=0.01)
+    example.check(size, {"implicit": held, "none": without})
+    inside = 0.5 * straight
+    for broken in ({"missed": 1}, {"strain": 0.1}, {"volume": 0.9}, {"points": inside}):
+        with pytest.raises(AssertionError):
+            example.check(size, {"implicit": example.replace(held, **broken), "none": without})
+
+
+def test_hair_that_goes_stiffly_with_the_head_fails_its_check():
+    """Neither swings as she walks, nor flies out as she dances, nor wraps."""
+    walking, dancer = (
+        load(next(folder for folder in EXAMPLES if folder.name == name))
+        for name in ("walking_with_hair", "dancer")
+    )
+    np, frames = walking.np, 33
+    head = np.array([[0.0, 170.0, 0.0]])
+    hair = np.array([[[0.0, 165.0, 10.0], [0.0, 140.0, 12.0]]] * 4)
+    moved = np.linspace(0.0, 1.0, frames)[:, None] * [0.0, 0.0, 200.0]
+    worn = walking.wig.Worn(hair + moved[:, None, None], head + moved[:, None], np.zeros((0, 3), int))
+    for example in (walking, dancer):
+        with pytest.raises(AssertionError):
+            example.check(worn)

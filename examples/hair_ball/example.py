@@ -16,9 +16,9 @@ from pxr import Gf, Usd, UsdGeom, Vt
 from scipy.spatial import cKDTree
 
 from plait.assets.small_scene import capsule
-from plait.assets.stages import define_mesh, new_stage
+from plait.assets.stages import add_camera, define_mesh, new_stage
 from plait.pipeline.benchmarks.scenes import Fibre, FormulaMotion, rods
-from plait.pipeline.preview import render_still
+from plait.pipeline.preview import render
 from plait.solver.build import build
 from plait.solver.scene import Scene, Surface
 from plait.solver.settings import Settings, StrandContactSettings
@@ -27,9 +27,10 @@ from plait.solver.strand_contact.missed import MissedCollisions
 FRAMES_PER_SECOND, SUBSTEPS = 24, 8
 RADIUS, LENGTH = 0.04, 0.1  # [m] of the ball, of the hair
 SHAKEN = 1.5  # [s]
-SWAY, LIFT, TURN = 0.05, 0.02, 0.4 * np.pi  # [m], [m], [rad] to either side
+SWAY, LIFT, TURN = 0.06, 0.03, 0.6 * np.pi  # [m], [m], [rad] to either side
 METHODS = {"implicit": "contact", "none": "no contact"}
-BESIDE = 0.3  # [m] between the balls of the picture
+CAMERA = "/camera"
+BESIDE = 0.24  # [m] between the balls of the picture
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,8 @@ class Size:
 
 
 SIZES = {
-    "small": Size(100, 1e-3, 12, 30),
-    "default": Size(300, 1e-3, 16, 48),
+    "small": Size(60, 1.2e-3, 10, 24),
+    "default": Size(600, 1.2e-3, 16, 48),
     "full": Size(32000, 0.06e-3, 60, 60),
 }
 
@@ -53,11 +54,12 @@ SIZES = {
 class Result:
     """Of one method. points: (frame_count, hairs, node_count, 3) [m].
     missed: pairs of segments that passed through each other, over all substeps.
-    strain: the largest of all frames."""
+    strain, volume: the largest and the least of all frames; the latter as `kept` has it."""
 
     points: np.ndarray
     missed: int
     strain: float
+    volume: float
 
 
 def moved(time: float) -> np.ndarray:
@@ -117,7 +119,8 @@ def run(size: Size, method: str) -> Result:
         if substep % SUBSTEPS == 0:
             points.append(stage.points(0))
     simulation.close()
-    return Result(np.array(points).reshape(len(points), size.hairs, -1, 3), missed, strain)
+    found = np.array(points).reshape(len(points), size.hairs, -1, 3)
+    return Result(found, missed, strain, min(kept(one, size.radius) for one in found))
 
 
 def kept(points: np.ndarray, radius: float) -> float:
@@ -144,8 +147,10 @@ def kept(points: np.ndarray, radius: float) -> float:
 def check(size: Size, results: dict[str, Result]) -> None:
     """What must be seen; AssertionError if it is not."""
     with_contact, without = results["implicit"], results["none"]
-    assert without.missed > size.hairs
+    assert without.missed > size.hairs // 2
     assert with_contact.missed == 0
+    # Hairs in contact may be a tenth nearer than they are thick, where two discs lose 2 % each to each other.
+    assert with_contact.volume > 0.98 and with_contact.volume > without.volume
     assert with_contact.strain < 0.03
     for frame, points in enumerate(with_contact.points):
         local = points - moved(frame / FRAMES_PER_SECOND)[:3, 3]
@@ -159,6 +164,7 @@ def write(size: Size, results: dict[str, Result], path: Path) -> None:
     stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
     stage.SetStartTimeCode(0)
     stage.SetEndTimeCode(size.frames)
+    add_camera(stage, CAMERA, (BESIDE, 0.36, 1.95), down=10.5)
     shown = {"start": results["implicit"].points[:1]} | {name: result.points for name, result in results.items()}
     for place, (name, frames) in enumerate(shown.items()):
         offset = np.array([BESIDE * place, 0.0, 0.0])
@@ -180,9 +186,10 @@ def _curves(stage: Usd.Stage, path: str, size: Size, frames: np.ndarray) -> None
     curves.CreateCurveVertexCountsAttr([frames.shape[2]] * frames.shape[1])
     curves.CreateWidthsAttr([2.0 * size.radius])
     curves.SetWidthsInterpolation(UsdGeom.Tokens.constant)
-    # From where each hair grows, light above and dark below.
+    # From where each hair grows, light above and dark below, no two quite alike.
     part = 0.5 + 0.5 * directions(size.hairs)[:, 1:2]
-    colours = (part * [0.75, 0.42, 0.12] + (1.0 - part) * [0.20, 0.05, 0.06]).astype(np.float32)
+    colours = part * [0.75, 0.42, 0.12] + (1.0 - part) * [0.20, 0.05, 0.06]
+    colours = (colours * np.random.default_rng(1).uniform(0.5, 1.2, part.shape)).astype(np.float32)
     curves.CreateDisplayColorAttr(Vt.Vec3fArray.FromNumpy(colours))
     curves.GetDisplayColorPrimvar().SetInterpolation(UsdGeom.Tokens.uniform)
     for frame, points in enumerate(frames):
@@ -195,14 +202,13 @@ def main(folder: Path, draw: bool = True, size: str = "default") -> None:
     chosen, results = SIZES[size], {}
     for method, name in METHODS.items():
         results[method] = found = run(chosen, method)
-        volume = min(kept(points, chosen.radius) for points in found.points)
         strain = f"largest strain {100.0 * found.strain:.2g} %"
-        print(f"{name}: {found.missed} passed through, {100.0 * volume:.3g} % of the volume kept, {strain}")
+        print(f"{name}: {found.missed} passed through, {100.0 * found.volume:.3g} % of the volume kept, {strain}")
     path = folder / "hair_ball.usdc"
     write(chosen, results, path)
     check(chosen, results)
     if draw:
-        render_still(path, path.with_suffix(".jpg"), frame=len(results["none"].points) - 1, size=(960, 400))
+        render(path, path.with_suffix(".jpg"), frames=str(chosen.frames), size="960x380", camera=CAMERA)
 
 
 if __name__ == "__main__":
