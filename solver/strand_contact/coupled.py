@@ -19,12 +19,12 @@ from plait.solver.strands.layout import Layout
 
 # A pass that moves no node further than this part of a segment leaves contact forces that are worth holding.
 CALM = 0.003
-# A strand is where it is to be when another pass would move it by less than this part of what the first one did, or
-# of a segment; and of a segment at most. After some passes, by less than this part of what the first did to any.
+# A strand is where it is to be when another pass would move it by less than this part of what the first one did,
+# from so little of a segment to so much. After some passes, by less than this part of what the first did to any.
 SETTLED, STILL, ADRIFT, PATIENT = 0.02, 0.003, 0.03, 3
 # After so many passes, contacts of strands that move less than this part of a segment keep their places.
 FREE_PLACES, STEADY = 3, 0.2
-# Strands that are not settled go on alone when they are, with those they push, less than this part of those at play.
+# Strands that are not settled go on alone where they are, with those they push, less than this part of those in play.
 FEW = 0.5
 # Passes with full steps; what then still goes to and fro is damped.
 UNRELAXED, RELAXED = 5, 0.6
@@ -211,7 +211,7 @@ class StrandContact:
             self.ties.measure()
 
     def _at_an_end(self, done: int) -> bool:
-        """Whether every strand is in balance, has gone through none, is in place and keeps to what it is tied to."""
+        """Whether every strand is in balance, went through none, is in place and keeps to what it is tied to."""
         solve = self._solve
         if not solve.solved or not solve.settled_strands(*self._tolerance(done)).all():
             return False

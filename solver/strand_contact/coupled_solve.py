@@ -185,7 +185,7 @@ class CoupledSolve:
         return float(values.numpy()[self._playing].max())
 
     def settled_strands(self, part: float, least: float, most: float, together: bool) -> np.ndarray:
-        """(strand_count,) bool: those out of play; and those that have no more `left` than `part` of their first step.
+        """(strand_count,) bool: those out of play, and those with no more `left` than `part` of their first step.
 
         least, most: [segments] limits of that.  together: than `part` of the longest first step of any in play.
         """

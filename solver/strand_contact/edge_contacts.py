@@ -14,7 +14,6 @@ from plait.solver.strand_contact.edge_pairs import EdgePairs
 from plait.solver.strand_contact.meeting_kernels import (
     CROSSING,
     HELD_AN_EDGE,
-    OUT_OF_PLACE,
     Held,
     Meetings,
     Ways,

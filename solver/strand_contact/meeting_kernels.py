@@ -40,8 +40,8 @@ LEFT = wp.constant(wp.float64(0.1))
 STIFFER = wp.constant(wp.float64(10.0))
 # After so many passes contacts may be so many times as near as they otherwise may.
 DEEPEST = wp.constant(wp.float64(5.0))
-# Faults of a pair: its edges have gone through each other; are nearer than they may, or press from too far; are far
-# nearer than they may.
+# Faults of a pair: its edges have gone through each other; are nearer than they may be, or press from too far; are
+# far nearer.
 CROSSING = wp.constant(1)
 OUT_OF_PLACE = wp.constant(2)
 DEEP = wp.constant(4)
@@ -221,7 +221,7 @@ def locate(
     x: wp.array(dtype=wp.vec3d),
     meetings: Meetings,
 ):
-    """Where a pair of edges that go from `start` to `x` touch or come nearest, and its gap; one pair an item.
+    """Where edges that go from `start` to `x` touch or come nearest, and their gap; one pair an item.
 
     What pushes keeps its place and normal once its strands hardly move: points of nearly parallel edges would go to
     and fro.
@@ -251,7 +251,7 @@ def locate(
     before = wp.length(apart)
     place = closest_on_edges(c0, c1, d0, d1)
     if clear <= widest:
-        # Not even their boxes keep apart; but their distance changes by no more than their ends move against each other.
+        # Their boxes do not keep apart. Their distance changes by no more than their ends move against each other.
         after = between(c0, c1, d0, d1, place)
         clear = least_distance(apart, a1 - a0, b1 - b0) + least_distance(after, c1 - c0, d1 - d0)
         clear = HALF * (clear - largest_shift(c0 - a0, c1 - a1, d0 - b0, d1 - b1))
@@ -423,7 +423,7 @@ def hold(
     calm: wp.float64,
     meetings: Meetings,
 ):
-    """Holds the force at `x` of a pair that took part in the last step from now on; one pair an item.
+    """From now on, holds the force at `x` of a pair that took part in the last step; one pair an item.
 
     If of its two strands the one that moved further did so by more than `calmer`, up to `calm`. Or if there is less
     of it: what has parted presses no more.
