@@ -22,9 +22,11 @@ CALM = 0.003
 # A strand is where it is to be when another pass would move it by less than this part of what the first one did,
 # from so little of a segment to so much. After some passes, by less than this part of what the first did to any.
 SETTLED, STILL, ADRIFT, PATIENT = 0.02, 0.003, 0.03, 3
-# After so many passes, contacts of strands that move less than this part of a segment keep their places.
+# That much may be this part of the distance that strands keep, where segments are shorter.
+ADRIFT_ACROSS = 0.06
+# After so many passes contacts of strands that move less than this part of a segment keep their places.
 FREE_PLACES, STEADY = 3, 0.2
-# Strands that are not settled go on alone where they are, with those they push, less than this part of those in play.
+# Strands that are not settled go on alone, with those that they push, where these are less than this part of all.
 FEW = 0.5
 # Passes with full steps; what then still goes to and fro is damped.
 UNRELAXED, RELAXED = 5, 0.6
@@ -35,7 +37,7 @@ FURTHEST = 1.0
 # As a last resort strands go half, a quarter, ... of their way, so often, then none of it.
 HALVINGS = 6
 # Pairs are found this much further apart than they interact, over the distance.
-MARGIN, WIDER = 0.5, 4.0
+MARGIN, WIDER = 0.5, 2.0
 # And over the way that gravity makes in a substep, which contact may or may not take away.
 FALL = 2.5
 
@@ -119,7 +121,7 @@ class StrandContact:
             self._solve = CoupledSolve(
                 self._launcher, self._layout, self._rods, self._real, self.contacts, self.ties
             )
-        self._start, self._room_to_stray = held.position, self._margin
+        self._start, self._room_to_stray, self._next_room = held.position, self._margin, self._margin
         self._solve.begin(method, held, result, roots)
         self._solve.take(self._near)
         self.contacts.recall(self._start)
@@ -137,6 +139,8 @@ class StrandContact:
         for done in range(self._settings.passes + 1):
             if done and solve.largest(solve.ways.stray) > 0.5 * self._room_to_stray:
                 self._find_again()
+                # The oftener they stray, the further they may in the passes to come.
+                self._next_room = min(2.0 * self._next_room, WIDER * self._margin)
             self._locate(STEADY if done >= FREE_PLACES else 0.0)
             if not self._passes:
                 self.contacts.pass_on()
@@ -234,8 +238,10 @@ class StrandContact:
             solve.play(*self._surfaces, self._expected, np.flatnonzero(beside).astype(np.int32))
             solve.linearise()
 
-    def _tolerance(self, done: int) -> tuple[float, float, float, bool]:
-        return SETTLED, ADRIFT if done >= ENOUGH else STILL, ADRIFT, done >= PATIENT
+    def _tolerance(self, done: int) -> tuple[float, np.ndarray | float, np.ndarray, bool]:
+        """What `settled_strands` asks for after so many passes."""
+        most = np.maximum(ADRIFT, ADRIFT_ACROSS * self.contacts.widest / self._layout.mean_segment)
+        return SETTLED, most if done >= ENOUGH else STILL, most, done >= PATIENT
 
     def _too_fast(self) -> bool:
         """Whether strands now go further through each other than passes can put right."""
@@ -248,11 +254,9 @@ class StrandContact:
     def _find_again(self) -> None:
         """Strands have left the places for which pairs were found."""
         solve = self._solve
+        self._room_to_stray = self._next_room
         nodes = self.solved[self._layout.node_strand]
         places = np.where(nodes[:, None], solve.position.numpy(), self._expected.numpy())
-        # The further they stray, the further they may in the passes to come.
-        widest = WIDER * self._margin
-        self._room_to_stray = float(np.clip(4.0 * solve.largest(solve.ways.stray), self._margin, widest))
         if self._in_contact:
             meets, self._expected = self.contacts.find_again(self._start, places, self._room_to_stray)
             self._meets = meets or self._meets

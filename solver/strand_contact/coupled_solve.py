@@ -184,15 +184,18 @@ class CoupledSolve:
         """Over the strands in play, of (strand_count,)."""
         return float(values.numpy()[self._playing].max())
 
-    def settled_strands(self, part: float, least: float, most: float, together: bool) -> np.ndarray:
+    def settled_strands(
+        self, part: float, least: np.ndarray | float, most: np.ndarray, together: bool
+    ) -> np.ndarray:
         """(strand_count,) bool: those out of play, and those with no more `left` than `part` of their first step.
 
-        least, most: [segments] limits of that.  together: than `part` of the longest first step of any in play.
+        least, most: (strand_count,) or one [segments], limits of that.
+        together: than `part` of the longest first step of any in play.
         """
         settled = np.ones(self._layout.strand_count, dtype=bool)
-        pace = self._pace[self._playing]
-        allowed = np.clip(part * (pace.max() if together else pace), least, most)
-        settled[self._playing] = self.left.numpy()[self._playing] <= allowed
+        pace = self._pace[self._playing].max() if together else self._pace
+        allowed = np.clip(part * pace, least, most)
+        settled[self._playing] = (self.left.numpy() <= allowed)[self._playing]
         return settled
 
     @property

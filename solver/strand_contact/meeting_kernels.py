@@ -221,10 +221,10 @@ def locate(
     x: wp.array(dtype=wp.vec3d),
     meetings: Meetings,
 ):
-    """Where edges that go from `start` to `x` touch or come nearest, and their gap; one pair an item.
+    """Where edges on their way from `start` to `x` touch or are nearest, and their gap; one pair an item.
 
-    What pushes keeps its place and normal once its strands hardly move: points of nearly parallel edges would go to
-    and fro.
+    What pushes keeps its place and normal once its strands move less than `steady`: points of nearly parallel edges
+    would go to and fro.
 
     reach: (node_count,) [m], half of the distance to keep.  stiffness: (node_count,) [N/m] of the nodes.
     strand: (node_count,) of each node.
@@ -423,10 +423,10 @@ def hold(
     calm: wp.float64,
     meetings: Meetings,
 ):
-    """From now on, holds the force at `x` of a pair that took part in the last step; one pair an item.
+    """Holds the force at `x` of a pair that took part in the last step; one pair an item.
 
-    If of its two strands the one that moved further did so by more than `calmer`, up to `calm`. Or if there is less
-    of it: what has parted presses no more.
+    If of its two strands the one that moved further did so by more than `calmer`, up to `calm`. Or if there is
+    less of it: what has parted presses no more.
 
     strand: (node_count,) of each node.
     """
