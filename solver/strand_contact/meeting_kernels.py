@@ -223,8 +223,8 @@ def locate(
 ):
     """Where edges on their way from `start` to `x` touch or are nearest, and their gap; one pair an item.
 
-    What pushes keeps its place and normal once its strands move less than `steady`: points of nearly parallel edges
-    would go to and fro.
+    What pushes keeps its place and normal once its strands move less than `steady`: points of nearly parallel
+    edges would go to and fro.
 
     reach: (node_count,) [m], half of the distance to keep.  stiffness: (node_count,) [N/m] of the nodes.
     strand: (node_count,) of each node.
