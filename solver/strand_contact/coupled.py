@@ -28,7 +28,8 @@ ADRIFT_ACROSS = 0.06
 FREE_PLACES, STEADY = 3, 0.2
 # Strands that are not settled go on alone, with those that they push, where these are less than this part of all.
 FEW = 0.5
-# Passes with full steps; what then still goes to and fro is damped.
+# Passes with full steps; what then still goes to and fro is damped in every other pass, of which none is the last:
+# it leaves stretch.
 UNRELAXED, RELAXED = 5, 0.6
 # After so many passes the most is enough, and contacts may be out of place but not deep.
 ENOUGH = 6
@@ -135,7 +136,7 @@ class StrandContact:
         solve, self._surfaces = self._solve, (planes, constrained)
         before = solve.iterations
         solve.play(planes, constrained, self._expected)
-        stands = False
+        stands = full = False
         for done in range(self._settings.passes + 1):
             if done and solve.largest(solve.ways.stray) > 0.5 * self._room_to_stray:
                 self._find_again()
@@ -150,7 +151,7 @@ class StrandContact:
                 self.contacts.hold(self._start, solve.position, solve.ways, CALM)
             self.contacts.press(self._start, solve.position)
             solve.linearise()
-            stands = bool(done) and self._at_an_end(done)
+            stands = bool(done) and full and self._at_an_end(done)
             if stands and not solve.all_play:
                 solve.play(*self._surfaces, self._expected)
                 solve.linearise()
@@ -159,7 +160,8 @@ class StrandContact:
                 break
             if done >= FREE_PLACES and self.ties is None:
                 self._let_others_be(done)
-            solve.step(1.0 if done < UNRELAXED else RELAXED)
+            full = done < UNRELAXED or done % 2 == 1
+            solve.step(1.0 if full else RELAXED)
             if self.ties is not None:
                 self.ties.hold()
             self.tally.passes += 1
