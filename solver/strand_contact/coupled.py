@@ -236,7 +236,7 @@ class StrandContact:
         pushing = strands[meetings.acts.numpy()[:count] > 0]
         beside = restless.copy()
         beside[pushing[restless[pushing].any(axis=1)]] = True
-        if beside.sum() < FEW * solve.playing_count:
+        if 0 < beside.sum() < FEW * solve.playing_count:
             solve.play(*self._surfaces, self._expected, np.flatnonzero(beside).astype(np.int32))
             solve.linearise()
 
