@@ -25,6 +25,8 @@ MAX_LINEAR_ITERATIONS = 40
 # The same where strands are free, as what is left is momentum lost; and where ties are stiff between strands, as
 # the preconditioner hardly sees their common motion.
 FREE_TOLERANCE, TIED_TOLERANCE, MAX_TIED_ITERATIONS = 1e-5, 1e-10, 400
+# The energy left may be that of a move by so many times what is left to move.
+STIFF = 2.0
 # How far strands out of play move: less than not at all, so that nothing between them changes.
 AT_REST = -2.0
 # Cost of an item in units of `Launcher.launch`.
@@ -91,8 +93,10 @@ class CoupledSolve:
         self.strands = np.union1d(self.strands, strands).astype(np.int32)
         segment = self._layout.mean_segment[self.strands]
         stiffness = self.stiffness.numpy()[self._layout.first_node[self.strands + 1] - 2]
-        # Twice the energy of a move by SMALL segments under a point load, of the strand that has the least.
-        self._enough = SMALL**2 * float((stiffness * segment**2).min())
+        # Twice the energy of a move by a segment under a point load; by SMALL segments of what has the least.
+        self._energy = np.zeros(self._layout.strand_count)
+        self._energy[self.strands] = stiffness * segment**2
+        self._enough = SMALL**2 * float(self._energy[self.strands].min())
 
     def play(
         self, planes: ContactPlanes, constrained: bool, expected: wp.array, strands: np.ndarray | None = None
@@ -196,6 +200,9 @@ class CoupledSolve:
         pace = self._pace[self._playing].max() if together else self._pace
         allowed = np.clip(part * pace, least, most)
         settled[self._playing] = (self.left.numpy() <= allowed)[self._playing]
+        # What is stiff, as stretch is, may move little and yet hold much energy.
+        energy = self._product.numpy()[: self._count] / self._energy[self._playing]
+        settled[self._playing] &= energy <= (STIFF * np.broadcast_to(allowed, settled.shape)[self._playing]) ** 2
         return settled
 
     @property
