@@ -25,7 +25,7 @@ MAX_LINEAR_ITERATIONS = 40
 # The same where strands are free, as what is left is momentum lost; and where ties are stiff between strands, as
 # the preconditioner hardly sees their common motion.
 FREE_TOLERANCE, TIED_TOLERANCE, MAX_TIED_ITERATIONS = 1e-5, 1e-10, 400
-# The energy left may be that of a move by so many times what is left to move.
+# The energy left in a free strand may be that of a move by so many times what is left to move.
 STIFF = 2.0
 # How far strands out of play move: less than not at all, so that nothing between them changes.
 AT_REST = -2.0
@@ -200,9 +200,11 @@ class CoupledSolve:
         pace = self._pace[self._playing].max() if together else self._pace
         allowed = np.clip(part * pace, least, most)
         settled[self._playing] = (self.left.numpy() <= allowed)[self._playing]
-        # What is stiff, as stretch is, may move little and yet hold much energy.
+        # What is stiff, as stretch is, may move little and yet hold much energy, which in a heap of free strands
+        # nothing but contact takes up.
         energy = self._product.numpy()[: self._count] / self._energy[self._playing]
-        settled[self._playing] &= energy <= (STIFF * np.broadcast_to(allowed, settled.shape)[self._playing]) ** 2
+        enough = energy <= (STIFF * np.broadcast_to(allowed, settled.shape)[self._playing]) ** 2
+        settled[self._playing] &= enough | ~self._layout.free[self._playing]
         return settled
 
     @property
