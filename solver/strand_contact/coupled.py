@@ -270,13 +270,16 @@ class StrandContact:
         """Strands that still go through others go less far, in the end no further than their roots carry them."""
         whole = wp.clone(self._solve.position)
         part = np.ones(self._layout.strand_count)
-        for _ in range(HALVINGS + 1):
-            through = self.contacts.crossing()
-            if not len(through):
+        while True:
+            strands = np.unique(self._layout.node_strand[self.contacts.crossing()])
+            strands = strands[part[strands] > 0.0]
+            if not len(strands):
                 break
-            strands = np.unique(self._layout.node_strand[through])
             part[strands] = np.where(part[strands] > 0.5**HALVINGS, 0.5 * part[strands], 0.0)
             self.tally.held_back += len(strands)
             self._solve.hold_back(part, whole)
+            known = self.solved
             self._find_again()
+            new = (self.solved & ~known)[self._layout.node_strand]
+            whole.assign(np.where(new[:, None], self._solve.position.numpy(), whole.numpy()))
             self._locate()
