@@ -31,8 +31,8 @@ FEW = 0.5
 # Passes with full steps; what then still goes to and fro is damped in every other pass, of which none is the last:
 # it leaves stretch.
 UNRELAXED, RELAXED = 5, 0.6
-# After so many passes the most is enough, and contacts may be out of place but not deep.
-ENOUGH = 6
+# After so many passes the most is enough; after so many contacts may be out of place, but not deep.
+ENOUGH, LENIENT = 6, 10
 # Strands that would go further through each other than this part of a segment take shorter steps at once.
 FURTHEST = 1.0
 # As a last resort strands go half, a quarter, ... of their way, so often, then none of it.
@@ -224,7 +224,7 @@ class StrandContact:
         faults = self.contacts.faults()
         fault = int(np.bitwise_or.reduce(faults)) if len(faults) else 0
         tied = self.ties is None or self.ties.hold_exactly
-        return tied and (fault == 0 or (done >= ENOUGH and fault & int(CROSSING | DEEP) == 0))
+        return tied and (fault == 0 or (done >= LENIENT and fault & int(CROSSING | DEEP) == 0))
 
     def _let_others_be(self, done: int) -> None:
         """Only strands that are not settled go on, with those that they push, where these are few."""

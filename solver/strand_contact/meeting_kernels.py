@@ -30,6 +30,7 @@ ZERO = wp.constant(wp.float64(0.0))
 HALF = wp.constant(wp.float64(0.5))
 ONE = wp.constant(wp.float64(1.0))
 TWO = wp.constant(wp.float64(2.0))
+QUARTER = wp.constant(wp.float64(0.25))
 # Contacts may be nearer, or press from further, by this part of the distance that two of the thinner would keep.
 OVERLAP = wp.constant(wp.float64(0.1))
 # What two strands nearer than their distance to keep are asked to regain of it in a substep.
@@ -321,7 +322,7 @@ def locate(
         meetings.normal[item] = normal
         meetings.target[item] = target
         meetings.stiffness[item] = held
-    if gap < -slack:
+    if gap < -wp.max(slack - (full - target), QUARTER * slack):
         fault += OUT_OF_PLACE
     if gap < -DEEPEST * slack:
         fault += DEEP
