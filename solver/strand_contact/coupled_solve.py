@@ -81,6 +81,7 @@ class CoupledSolve:
         self._method, self._state, self._alone, self._roots = method, state, alone, roots
         self.strands = np.zeros(0, dtype=np.int32)
         self._pace = np.full(self._layout.strand_count, np.nan)
+        self._last_moved = np.zeros(self._layout.strand_count)
 
     def take(self, near: np.ndarray) -> None:
         """Strands flagged in `near`, (strand_count,) bool, take part too, and all are in play."""
@@ -103,11 +104,15 @@ class CoupledSolve:
     ) -> None:
         """Newton steps from now on are of `strands`, of all if None; the others stay where they are."""
         self._playing = self.strands if strands is None else strands
+        moved = self.ways.moved.numpy()
+        self._last_moved = np.where(moved == AT_REST, self._last_moved, moved)
         if not self.all_play:
             self._scratch.solution.zero_()
             moved = np.full(self._layout.strand_count, AT_REST)
-            moved[self._playing] = self.ways.moved.numpy()[self._playing]
+            moved[self._playing] = self._last_moved[self._playing]
             self.ways.moved.assign(moved)
+        else:
+            self.ways.moved.assign(self._last_moved)
         self._count, self._active = len(self._playing), self._hold(self._playing)
         self._record(planes, constrained, expected)
 
