@@ -37,10 +37,10 @@ ENOUGH, LENIENT = 6, 10
 FURTHEST = 1.0
 # As a last resort strands go half, a quarter, ... of their way, so often, then none of it.
 HALVINGS = 6
-# Pairs are found this much further apart than they interact, over the distance.
-MARGIN, WIDER = 0.5, 2.0
+# Nodes have room to stray from where pairs are found for, over the distance that strands keep.
+ROOM = 0.25
 # And over the way that gravity makes in a substep, which contact may or may not take away.
-FALL = 2.5
+FALL = 1.25
 
 
 @dataclass
@@ -65,7 +65,6 @@ class StrandContact:
         self.contacts = EdgeContacts(model, state, layout)
         self.ties = Attachments(model, state, layout, real) if model.scene.attachments else None
         self._solve: CoupledSolve | None = None
-        self._margin = 0.0
         self._meets = False
         self._passes = 0
         self.tally = Tally()
@@ -107,10 +106,10 @@ class StrandContact:
         result: where they would go by themselves.
         """
         self._expected = result.position
-        self._margin = max(MARGIN * self.contacts.widest, FALL * self._gravity * length**2)
         meets = False
         if self._in_contact:
-            meets, self._expected = self.contacts.find(held, result, length, self._margin)
+            room = max(ROOM * self.contacts.widest, FALL * self._gravity * length**2)
+            meets, self._expected = self.contacts.find(held, result, length, room)
             if not meets and self._meets:
                 self.contacts.forget()
         self._meets, self._passes = meets, 0
@@ -122,7 +121,7 @@ class StrandContact:
             self._solve = CoupledSolve(
                 self._launcher, self._layout, self._rods, self._real, self.contacts, self.ties
             )
-        self._start, self._room_to_stray, self._next_room = held.position, self._margin, self._margin
+        self._start = held.position
         self._solve.begin(method, held, result, roots)
         self._solve.take(self._near)
         self.contacts.recall(self._start)
@@ -138,10 +137,8 @@ class StrandContact:
         solve.play(planes, constrained, self._expected)
         stands = full = False
         for done in range(self._settings.passes + 1):
-            if done and solve.largest(solve.ways.stray) > 0.5 * self._room_to_stray:
+            if done and solve.largest(solve.ways.stray) > 1.0:
                 self._find_again()
-                # The oftener they stray, the further they may in the passes to come.
-                self._next_room = min(2.0 * self._next_room, WIDER * self._margin)
             self._locate(STEADY if done >= FREE_PLACES else 0.0)
             if not self._passes:
                 self.contacts.pass_on()
@@ -171,6 +168,8 @@ class StrandContact:
             self._hold_back()
             stands = True
         solve.finish(result)
+        if self._in_contact:
+            self.contacts.make_room(self._expected, result.position)
         return stands
 
     def crossed(self, position: wp.array) -> bool:
@@ -256,11 +255,10 @@ class StrandContact:
     def _find_again(self) -> None:
         """Strands have left the places for which pairs were found."""
         solve = self._solve
-        self._room_to_stray = self._next_room
         nodes = self.solved[self._layout.node_strand]
         places = np.where(nodes[:, None], solve.position.numpy(), self._expected.numpy())
         if self._in_contact:
-            meets, self._expected = self.contacts.find_again(self._start, places, self._room_to_stray)
+            meets, self._expected = self.contacts.find_again(self._start, self._expected, places)
             self._meets = meets or self._meets
         solve.take(self._near)
         self.contacts.recall(self._start, within=True)

@@ -274,12 +274,13 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         krylov: Krylov,
         scratch: Scratch,
         expected: wp.array(dtype=wp.vec3d),
+        room: wp.array(dtype=wp.float64),
         position_out: wp.array(dtype=wp.vec3d),
         ways_out: Ways,
     ):
         """Takes the step, or `relaxation` of it, or so much that no edge turns too far at once.
 
-        expected: (node_count,) [m] where pairs were found for.
+        expected, room: (node_count,) [m] where pairs were found for, and how far from there.
         """
         strand = strands[first + wp.tid()]
         base = rods.first_node[strand]
@@ -313,7 +314,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         for node in range(base, base + count):
             x = root + wp.vec3d(scratch.position[node])
             position_out[node] = x
-            stray = wp.max(stray, wp.length(x - expected[node]))
+            stray = wp.max(stray, wp.length(x - expected[node]) / room[node])
         ways_out.stray[strand] = stray
         ways_out.moved[strand] = wp.float64(wp.sqrt(furthest) / rods.segment[strand])
         ways_out.travel[strand] = ways_out.travel[strand] + wp.float64(fraction * wp.sqrt(furthest))

@@ -133,7 +133,7 @@ class CoupledSolve:
         outputs = [krylov, self._product, self._definite, self.left]
         self._linearise = prepare(kernels.linearise, [*system, scratch], outputs)
         self._descend = prepare(kernels.descend, [active, self._alpha, rods], [scratch, krylov, self._product])
-        inputs = [*system, self._relaxation, krylov, scratch, expected]
+        inputs = [*system, self._relaxation, krylov, scratch, expected, self._contacts.room]
         self._advance = prepare(kernels.advance, inputs, [self.position, self.ways])
         if self._ties is not None:
             contacts = self._contacts

@@ -23,6 +23,7 @@ class Edges:
     along: wp.array(dtype=wp.float64)  # (node_count,) [m] drawn length from the strand's first node
     prescribed: wp.array(dtype=wp.int32)  # (node_count,) 1: both of the edge's nodes are
     straight: wp.float64  # chord over drawn length from which on edges of one strand are no pair
+    room: wp.array(dtype=wp.float64)  # (node_count,) [m] what is to be found beyond a node's reach
 
 
 @wp.struct
@@ -34,7 +35,6 @@ class Motion:
     turn_back: wp.mat33d
     bulge: wp.float64  # how far a path leaves its chord in the moving frame, a part of the chord
     widen: wp.float64  # of distances, seen in the moving frame
-    margin: wp.float64  # [m] half of what is to be found beyond the reaches
 
 
 @wp.struct
@@ -57,12 +57,17 @@ class StrandBoxes:
 
 
 @wp.func
+def room_of_edge(edges: Edges, edge: int) -> wp.float64:
+    return wp.max(edges.room[edge], edges.room[edge + 1])
+
+
+@wp.func
 def box_of_path(x: wp.vec3d, x_end: wp.vec3d, motion: Motion, reach: wp.float64):
     """(lower, upper) [m] of a node's path in the moving frame, padded."""
     y = x - motion.from_
     y_end = motion.turn_back * (x_end - motion.to)
     size = wp.max(wp.max(wp.abs(y)), wp.max(wp.abs(y_end)))
-    pad = motion.bulge * wp.length(y_end - y) + motion.widen * (reach + motion.margin) + TO_FLOAT * size
+    pad = motion.bulge * wp.length(y_end - y) + motion.widen * reach + TO_FLOAT * size
     pads = wp.vec3d(pad, pad, pad)
     return wp.vec3f(wp.min(y, y_end) - pads), wp.vec3f(wp.max(y, y_end) + pads)
 
@@ -132,8 +137,9 @@ def bound_strands(
     largest = wp.vec3f()
     for k in range(root, tip):
         # Both ends with the edge's reach: it is the larger of its nodes'.
-        lower, upper = box_of_path(start[k], end[k], motion, edges.reach[k])
-        lower_b, upper_b = box_of_path(start[k + 1], end[k + 1], motion, edges.reach[k])
+        reach = edges.reach[k] + room_of_edge(edges, k)
+        lower, upper = box_of_path(start[k], end[k], motion, reach)
+        lower_b, upper_b = box_of_path(start[k + 1], end[k + 1], motion, reach)
         lower = wp.min(lower, lower_b)
         upper = wp.max(upper, upper_b)
         if wp.isfinite(lower) and wp.isfinite(upper):

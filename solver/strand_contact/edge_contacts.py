@@ -20,6 +20,8 @@ from plait.solver.strand_contact.meeting_kernels import (
     expect,
     hold,
     locate,
+    lose_room,
+    make_room,
     press,
     recall,
     remember,
@@ -29,6 +31,8 @@ from plait.solver.strands.layout import Layout
 
 # Costs of an item in units of `Launcher.launch`.
 PAIR_WORK, LOCATE_WORK, LIST_WORK = 2, 6, 3
+# The most room of a node over the least.
+MOST_ROOM = 4.0
 MEETING_ARRAYS = {
     "apart": wp.vec3d,
     "drawn": wp.float64,
@@ -57,12 +61,14 @@ MEETING_ARRAYS = {
 class EdgeContacts:
     """Pairs of edges that may meet in a substep, where they touch, and what they do to each other.
 
-    State arrays, HELD_AN_EDGE slots an edge: strand_contact/other, pressure, traction of contacts that last.
+    State arrays: strand_contact/other, pressure, traction of contacts that last, HELD_AN_EDGE slots an edge;
+    strand_contact/room, of each node.
 
     pairs: the pairs of edges.  meetings: what is known of each.
     acting_first, acting: those of each edge that push, as in `EdgePairs`.  acting_count: of both edges.
     lasting: (strand_count,) int32, 1: strands that were in contact when the substep began.
     widest: [m] the largest distance that strands keep.
+    room: (node_count,) [m] how far each node may be from where pairs were found for.
     """
 
     def __init__(self, model: Model, state: State, layout: Layout) -> None:
@@ -88,18 +94,23 @@ class EdgeContacts:
         self._held = _allocate_held(slots, device)
         for name in ("other", "pressure", "traction"):
             state.arrays[f"strand_contact/{name}"] = getattr(self._held, name)
+        self.room = state.arrays["strand_contact/room"] = wp.zeros(
+            layout.node_count, dtype=wp.float64, device=device
+        )
         self.lasting = wp.zeros(layout.strand_count, dtype=wp.int32, device=device)
         self._kept: Held | None = None
         self._room = -1
 
     # -- which pairs ---------------------------------------------------------------------------------------
 
-    def find(self, held: Any, result: Any, length: float, margin: float) -> tuple[bool, wp.array]:
+    def find(self, held: Any, result: Any, length: float, least_room: float) -> tuple[bool, wp.array]:
         """Whether any edges may meet in a substep of `length` [s]; and where nodes were expected.
 
         held, result: the state at the start, and where strands would go by themselves. What was in contact is
-        expected where its velocity leads, not where it would fall to.
+        expected where its velocity leads, not where it would fall to.  least_room: [m] of any node.
         """
+        self._least_room = least_room
+        self._launcher.launch(lose_room, self._layout.node_count, [wp.float64(least_room)], [self.room])
         expected = result.position
         self.lasting.zero_()
         touching = (self._held.other.numpy() >= 0).reshape(-1, int(HELD_AN_EDGE)).any(axis=1)
@@ -122,14 +133,22 @@ class EdgeContacts:
             ]
             self._launcher.launch(expect, self._layout.node_count, inputs, [self._sought])
             expected = self._sought
-        return self.pairs.find(held.position, expected, margin), expected
+        return self.pairs.find(held.position, expected, self.room), expected
 
-    def find_again(self, start: wp.array, places: np.ndarray, margin: float) -> tuple[bool, wp.array]:
-        """The same towards `places`, (node_count, 3) [m]; forces are kept."""
+    def find_again(self, start: wp.array, expected: wp.array, places: np.ndarray) -> tuple[bool, wp.array]:
+        """The same towards `places`, (node_count, 3) [m], with more room for what is not where it was `expected`;
+        forces are kept."""
         self._allocate()
         self._remember(self._kept)
-        self._sought.assign(places)
-        return self.pairs.find(start, self._sought, margin), self._sought
+        self._places.assign(places)
+        self.make_room(expected, self._places)
+        wp.copy(self._sought, self._places)
+        return self.pairs.find(start, self._sought, self.room), self._sought
+
+    def make_room(self, expected: wp.array, position: wp.array) -> None:
+        """What has strayed from where it was expected is given room to do so again."""
+        limits = [wp.float64(self._least_room), wp.float64(MOST_ROOM * self._least_room)]
+        self._launcher.launch(make_room, self._layout.node_count, [*limits, expected, position], [self.room])
 
     def recall(self, start: wp.array, *, within: bool = False) -> None:
         """Begins with the pairs last found, with the forces that they had; within: earlier in this substep."""
@@ -210,7 +229,7 @@ class EdgeContacts:
             return
         device, nodes = self._launcher.device, self._layout.node_count
         self._kept = _allocate_held(nodes * int(HELD_AN_EDGE), device)
-        self._sought = wp.zeros(nodes, dtype=wp.vec3d, device=device)
+        self._sought, self._places = (wp.zeros(nodes, dtype=wp.vec3d, device=device) for _ in range(2))
         self._counts, self.acting_first = (wp.zeros(nodes + 1, dtype=wp.int32, device=device) for _ in range(2))
 
     def _hold_pairs(self) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import warp as wp
 
 from plait.solver.strand_contact.crossing_kernels import distance_of_edges, largest_shift
-from plait.solver.strand_contact.edge_box_kernels import Boxes, Edges, Motion, may_meet_itself
+from plait.solver.strand_contact.edge_box_kernels import Boxes, Edges, Motion, may_meet_itself, room_of_edge
 
 wp.set_module_options({"enable_backward": False})
 
@@ -239,7 +239,7 @@ def gather_candidates(search: Search, a: int, first: int, last: int, list_out: w
 
 @wp.func
 def come_near(search: Search, a: int, b: int) -> bool:
-    """Whether two edges may come within their reaches and the margin while their nodes move.
+    """Whether two edges may come within their reaches and rooms while their nodes move.
 
     Seen in the moving frame, their distance changes by no more than their ends move against each other.
     """
@@ -257,7 +257,8 @@ def come_near(search: Search, a: int, b: int) -> bool:
     v0 = d0 - b0
     v1 = d1 - b1
     fastest = largest_shift(u0, u1, v0, v1)
-    limit = motion.widen * (search.edges.reach[a] + search.edges.reach[b] + wp.float64(2.0) * motion.margin)
+    limit = motion.widen * (search.edges.reach[a] + search.edges.reach[b])
+    limit += motion.widen * (room_of_edge(search.edges, a) + room_of_edge(search.edges, b))
     if motion.bulge > wp.float64(0.0):
         limit += motion.bulge * wp.max(wp.length(u0), wp.length(u1)) + motion.bulge * wp.max(
             wp.length(v0), wp.length(v1)

@@ -56,9 +56,9 @@ BOUND_WORK, ENTER_WORK, RUN_WORK, SEARCH_WORK, NUMBER_WORK = 3, 3, 200, 15, 2
 class EdgePairs:
     """Pairs of edges, a before b, that may come near each other while nodes move linearly from start to end.
 
-    Every pair of edges that at any time of that motion is nearer than reach_a + reach_b + margin is found, and
-    none that stays further apart however its ends move against each other, seen in a frame that moves with the
-    strands; a common motion, however large, costs nothing. An edge's reach is its nodes' larger one.
+    Every pair of edges that at any time of that motion is nearer than the sum of its reaches and rooms is found,
+    and none that stays further apart however its ends move against each other, seen in a frame that moves with the
+    strands; a common motion, however large, costs nothing. An edge's reach, and room, is its nodes' larger one.
     No pairs are:
     - edges next to each other in their strand, and those with less strand than reach_a + reach_b between them;
     - edges of one strand that stays nearly straight from the one to the other (`straight`);
@@ -94,6 +94,7 @@ class EdgePairs:
         self._node_count, self._strand_count = layout.node_count, layout.strand_count
         self._edges = self._hold_edges(layout, reach, prescribed)
         self._edges.straight = straight
+        self._no_room = self._full(self._node_count, wp.float64)
         self._boxes, self._strand_boxes = Boxes(), StrandBoxes()
         for boxes, count in ((self._boxes, self._node_count), (self._strand_boxes, self._strand_count)):
             # Slots that are no edge keep an empty box.
@@ -116,12 +117,14 @@ class EdgePairs:
         self._first_second = self._full(self._node_count + 1, wp.int32)
         self._clear()
 
-    def find(self, start: wp.array, end: wp.array, margin: float) -> bool:
+    def find(self, start: wp.array, end: wp.array, room: wp.array | None = None) -> bool:
         """Finds the pairs of a motion; whether there are any. One launch if no strand is near another or itself.
 
-        start, end: (node_count,) vec3d [m] world.  margin: [m], beyond the sum of the reaches.
+        start, end: (node_count,) vec3d [m] world.  room: (node_count,) float64 [m], beyond the reaches;
+        None: none.
         """
-        motion = _common_motion(start, end, 0.5 * margin)
+        motion = _common_motion(start, end)
+        self._edges.room = self._no_room if room is None else room
         # In a thick of strands, the search itself is cheaper than asking which take part.
         asked = self.near.mean() < THICK
         inputs = [self._edges, start, end, motion, asked]
@@ -297,7 +300,7 @@ def _scan(counts: wp.array, first: wp.array) -> int:
     return int(first[-1:].numpy()[0])
 
 
-def _common_motion(start: wp.array, end: wp.array, half_margin: float) -> Motion:
+def _common_motion(start: wp.array, end: wp.array) -> Motion:
     """The rigid motion nearest the nodes' (Kabsch 1976), and how paths and distances look in its frame.
 
     Points that move linearly to where a turn by theta takes them move as the affine map A = (1 - t) I + t R does:
@@ -308,7 +311,6 @@ def _common_motion(start: wp.array, end: wp.array, half_margin: float) -> Motion
     x, y = (_sample(points, stride) for points in (start, end))
     finite = np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
     motion = Motion()
-    motion.margin = half_margin
     motion.turn_back = wp.mat33d(np.eye(3))
     motion.widen = 1.0
     if not finite.any():

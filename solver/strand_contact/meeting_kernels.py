@@ -48,6 +48,9 @@ OUT_OF_PLACE = wp.constant(2)
 DEEP = wp.constant(4)
 # A contact that has changed the way it slides so often is damped for good, others for one pass.
 SWINGS = wp.constant(3)
+# A node's room over how far it has strayed; what is left of it a substep later.
+AGAIN = wp.constant(wp.float64(1.5))
+KEPT = wp.constant(wp.float64(0.8))
 # [m] A way that no strand goes.
 NEVER_AGAIN = wp.constant(wp.float64(1.0e30))
 # Contacts of which each edge remembers the forces for the next substep, the largest of them.
@@ -88,7 +91,7 @@ class Ways:
 
     moved: wp.array(dtype=wp.float64)  # the longest displacement in the last step, over the strand's segments
     travel: wp.array(dtype=wp.float64)  # [m] the way of any node since the first pass, at most
-    stray: wp.array(dtype=wp.float64)  # [m] the furthest that a node is from where it was expected
+    stray: wp.array(dtype=wp.float64)  # how far a node is from where it was expected, at most, over its room
 
 
 @wp.struct
@@ -129,6 +132,31 @@ def expect(
     expected_out[node] = alone[node]
     if lasting[strand[node]] != 0:
         expected_out[node] = start[node] + length * velocity[node]
+
+
+@wp.kernel
+def make_room(
+    first: int,
+    least: wp.float64,
+    most: wp.float64,
+    expected: wp.array(dtype=wp.vec3d),
+    x: wp.array(dtype=wp.vec3d),
+    room: wp.array(dtype=wp.float64),
+):
+    """Room for nodes that stray from where they are expected, to do so again; one node an item.
+
+    least, most: [m] of it.  room: (node_count,) [m].
+    """
+    node = first + wp.tid()
+    stray = wp.length(x[node] - expected[node])
+    room[node] = wp.clamp(wp.max(room[node], AGAIN * stray), least, most)
+
+
+@wp.kernel
+def lose_room(first: int, least: wp.float64, room: wp.array(dtype=wp.float64)):
+    """What nodes have not needed they have less of in the next substep; one node an item."""
+    node = first + wp.tid()
+    room[node] = wp.max(least, KEPT * room[node])
 
 
 @wp.func

@@ -37,7 +37,7 @@ class MissedCollisions:
     def count(self, start: wp.array, end: wp.array) -> int:
         """How many pairs touched. start, end: (node_count,) vec3d [m] world, two poses in turn."""
         found = self._edge_pairs
-        found.find(start, end, 0.0)
+        found.find(start, end)
         missed = wp.empty(found.count, dtype=wp.int32, device=self._launcher.device)
         inputs = [found.pairs, self._drawn, self._radius, start, end]
         self._launcher.launch(find_missed, found.count, inputs, [missed], work_per_item=PAIR_WORK)

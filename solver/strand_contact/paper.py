@@ -172,7 +172,7 @@ class PaperStrandContact:
 
     def _apply_impulses(self, start: wp.array, velocity: wp.array, step: float) -> None:
         """Han 2019, 5.3: Jacobi passes over the pairs that are close at `start`."""
-        if not self._finder.find(start, start, 0.0):
+        if not self._finder.find(start, start):
             return
         launch, edges, pairs, count = self._launcher.launch, self._edges, self._hold_pairs(), self._finder.count
         incidence = Incidence()

@@ -19,7 +19,8 @@ REACH, MARGIN = 4e-4, 1e-3
 
 def found(pairs: EdgePairs, start: np.ndarray, end: np.ndarray, margin: float = MARGIN) -> set[tuple[int, int]]:
     arrays = [wp.array(x, dtype=wp.vec3d) for x in (start, end)]
-    assert pairs.find(*arrays, margin) == (pairs.count > 0)
+    room = wp.full(len(start), 0.5 * margin, dtype=wp.float64)
+    assert pairs.find(*arrays, room) == (pairs.count > 0)
     return set(map(tuple, pairs.pairs.numpy().tolist()))
 
 
@@ -176,9 +177,9 @@ def test_edges_that_nothing_moves_are_no_pair():
     prescribed = np.ones(layout.node_count, dtype=bool)
     reach = np.full(layout.node_count, REACH)
     arrays = [wp.array(layout.position, dtype=wp.vec3d)] * 2
-    assert not EdgePairs(LAUNCHER, layout, reach, prescribed).find(*arrays, 0.0)
+    assert not EdgePairs(LAUNCHER, layout, reach, prescribed).find(*arrays)
     prescribed[3] = False
-    assert EdgePairs(LAUNCHER, layout, reach, prescribed).find(*arrays, 0.0)
+    assert EdgePairs(LAUNCHER, layout, reach, prescribed).find(*arrays)
 
 
 def test_crowds_and_long_edges():
