@@ -124,7 +124,7 @@ class StrandContact:
         self._start = held.position
         self._solve.begin(method, held, result, roots)
         self._solve.take(self._near)
-        self.contacts.recall(self._start)
+        self.contacts.recall()
 
     def solve(self, result: Any, planes: ContactPlanes, constrained: bool, last_resort: bool) -> bool:
         """Solves the strands near each other into `result`; whether that stands.
@@ -261,7 +261,7 @@ class StrandContact:
             meets, self._expected = self.contacts.find_again(self._start, self._expected, places)
             self._meets = meets or self._meets
         solve.take(self._near)
-        self.contacts.recall(self._start, within=True)
+        self.contacts.recall(within=True)
         solve.play(*self._surfaces, self._expected)
 
     def _hold_back(self) -> None:

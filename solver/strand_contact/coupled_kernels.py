@@ -83,7 +83,6 @@ def coupled_kernels(real: type) -> SimpleNamespace:
             rods, scratch, strand, base, 1, step, real(0.0), types.mat33(turn), vec3(before), vec3(-before), step
         )
         inertia_out[strand] = inertia
-        ways_out.travel[strand] = wp.float64(0.0)
         length = rods.segment[strand]
         # The root's Voronoi length is half a segment.
         bending = wp.float64(real(0.5) * length * rods.bend[base + 1])
@@ -92,6 +91,7 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         for k in range(count):
             node = base + k
             position_out[node] = root + wp.vec3d(scratch.position[node])
+            ways_out.travel[node] = wp.float64(0.0)
             # A beam, and a string, on an elastic foundation, its inertia, under a point load (Hetenyi 1946).
             inertial = wp.float64(rods.mass[node] * inertia)
             foundation = inertial / wp.float64(length)
@@ -275,12 +275,13 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         scratch: Scratch,
         expected: wp.array(dtype=wp.vec3d),
         room: wp.array(dtype=wp.float64),
+        least_room: wp.float64,
         position_out: wp.array(dtype=wp.vec3d),
         ways_out: Ways,
     ):
         """Takes the step, or `relaxation` of it, or so much that no edge turns too far at once.
 
-        expected, room: (node_count,) [m] where pairs were found for, and how far from there.
+        expected, room, least_room: [m] where pairs were found for, and how far from there.
         """
         strand = strands[first + wp.tid()]
         base = rods.first_node[strand]
@@ -313,11 +314,11 @@ def coupled_kernels(real: type) -> SimpleNamespace:
         stray = wp.float64(0.0)
         for node in range(base, base + count):
             x = root + wp.vec3d(scratch.position[node])
+            ways_out.travel[node] = ways_out.travel[node] + wp.length(x - position_out[node])
             position_out[node] = x
-            stray = wp.max(stray, wp.length(x - expected[node]) / room[node])
+            stray = wp.max(stray, wp.length(x - expected[node]) / wp.max(least_room, room[node]))
         ways_out.stray[strand] = stray
         ways_out.moved[strand] = wp.float64(wp.sqrt(furthest) / rods.segment[strand])
-        ways_out.travel[strand] = ways_out.travel[strand] + wp.float64(fraction * wp.sqrt(furthest))
 
     @kernel
     def hold_back(

@@ -64,8 +64,8 @@ class CoupledSolve:
         self._inertia = wp.zeros(strands, dtype=real, device=device)
         self._product, self.left = (wp.zeros(strands, dtype=wp.float64, device=device) for _ in range(2))
         self.ways = Ways()
-        for name in ("moved", "travel", "stray"):
-            setattr(self.ways, name, wp.zeros(strands, dtype=wp.float64, device=device))
+        for name, count in (("moved", strands), ("stray", strands), ("travel", nodes)):
+            setattr(self.ways, name, wp.zeros(count, dtype=wp.float64, device=device))
         self._alpha, self._beta, self._relaxation = (
             wp.zeros(1, dtype=wp.float64, device=device) for _ in range(3)
         )
@@ -133,7 +133,8 @@ class CoupledSolve:
         outputs = [krylov, self._product, self._definite, self.left]
         self._linearise = prepare(kernels.linearise, [*system, scratch], outputs)
         self._descend = prepare(kernels.descend, [active, self._alpha, rods], [scratch, krylov, self._product])
-        inputs = [*system, self._relaxation, krylov, scratch, expected, self._contacts.room]
+        room = [self._contacts.room, wp.float64(self._contacts.least_room)]
+        inputs = [*system, self._relaxation, krylov, scratch, expected, *room]
         self._advance = prepare(kernels.advance, inputs, [self.position, self.ways])
         if self._ties is not None:
             contacts = self._contacts

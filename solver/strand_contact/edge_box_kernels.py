@@ -24,6 +24,7 @@ class Edges:
     prescribed: wp.array(dtype=wp.int32)  # (node_count,) 1: both of the edge's nodes are
     straight: wp.float64  # chord over drawn length from which on edges of one strand are no pair
     room: wp.array(dtype=wp.float64)  # (node_count,) [m] what is to be found beyond a node's reach
+    least_room: wp.float64  # [m] of any
 
 
 @wp.struct
@@ -58,7 +59,7 @@ class StrandBoxes:
 
 @wp.func
 def room_of_edge(edges: Edges, edge: int) -> wp.float64:
-    return wp.max(edges.room[edge], edges.room[edge + 1])
+    return wp.max(edges.least_room, wp.max(edges.room[edge], edges.room[edge + 1]))
 
 
 @wp.func

@@ -16,6 +16,7 @@ from plait.solver.strand_contact.meeting_kernels import (
     HELD_AN_EDGE,
     Held,
     Meetings,
+    Nodes,
     Ways,
     expect,
     hold,
@@ -68,7 +69,7 @@ class EdgeContacts:
     acting_first, acting: those of each edge that push, as in `EdgePairs`.  acting_count: of both edges.
     lasting: (strand_count,) int32, 1: strands that were in contact when the substep began.
     widest: [m] the largest distance that strands keep.
-    room: (node_count,) [m] how far each node may be from where pairs were found for.
+    room: (node_count,) [m] how far each node may be from where pairs were found for, if more than `least_room`.
     """
 
     def __init__(self, model: Model, state: State, layout: Layout) -> None:
@@ -83,11 +84,12 @@ class EdgeContacts:
         # Roots may be as near as they grow.
         tapered = reach.copy()
         tapered[layout.prescribed] = 0.0
-        self._reach = wp.array(tapered, dtype=wp.float64, device=device)
-        self._drawn = wp.array(layout.position, dtype=wp.vec3d, device=device)
-        self._radius = wp.array(layout.radius, dtype=wp.float64, device=device)
-        self._friction = wp.array(layout.friction[layout.node_strand], dtype=wp.float64, device=device)
-        self._strand = wp.array(layout.node_strand, dtype=wp.int32, device=device)
+        self._nodes = Nodes()
+        self._nodes.reach = wp.array(tapered, dtype=wp.float64, device=device)
+        self._nodes.radius = wp.array(layout.radius, dtype=wp.float64, device=device)
+        self._nodes.friction = wp.array(layout.friction[layout.node_strand], dtype=wp.float64, device=device)
+        self._nodes.drawn = wp.array(layout.position, dtype=wp.vec3d, device=device)
+        self._nodes.strand = wp.array(layout.node_strand, dtype=wp.int32, device=device)
         self.widest = 2.0 * float(reach.max())
         self.pairs = EdgePairs(model.launcher, layout, reach, layout.prescribed)
         slots = layout.node_count * int(HELD_AN_EDGE)
@@ -97,6 +99,7 @@ class EdgeContacts:
         self.room = state.arrays["strand_contact/room"] = wp.zeros(
             layout.node_count, dtype=wp.float64, device=device
         )
+        self.least_room = 0.0
         self.lasting = wp.zeros(layout.strand_count, dtype=wp.int32, device=device)
         self._kept: Held | None = None
         self._room = -1
@@ -109,8 +112,7 @@ class EdgeContacts:
         held, result: the state at the start, and where strands would go by themselves. What was in contact is
         expected where its velocity leads, not where it would fall to.  least_room: [m] of any node.
         """
-        self._least_room = least_room
-        self._launcher.launch(lose_room, self._layout.node_count, [wp.float64(least_room)], [self.room])
+        self.least_room = least_room
         expected = result.position
         self.lasting.zero_()
         touching = (self._held.other.numpy() >= 0).reshape(-1, int(HELD_AN_EDGE)).any(axis=1)
@@ -125,7 +127,7 @@ class EdgeContacts:
             self.lasting.assign(lasting)
             inputs = [
                 self.lasting,
-                self._strand,
+                self._nodes.strand,
                 held.position,
                 held.velocity,
                 wp.float64(length),
@@ -133,7 +135,7 @@ class EdgeContacts:
             ]
             self._launcher.launch(expect, self._layout.node_count, inputs, [self._sought])
             expected = self._sought
-        return self.pairs.find(held.position, expected, self.room), expected
+        return self.pairs.find(held.position, expected, self.room, least_room), expected
 
     def find_again(self, start: wp.array, expected: wp.array, places: np.ndarray) -> tuple[bool, wp.array]:
         """The same towards `places`, (node_count, 3) [m], with more room for what is not where it was `expected`;
@@ -143,19 +145,18 @@ class EdgeContacts:
         self._places.assign(places)
         self.make_room(expected, self._places)
         wp.copy(self._sought, self._places)
-        return self.pairs.find(start, self._sought, self.room), self._sought
+        return self.pairs.find(start, self._sought, self.room, self.least_room), self._sought
 
     def make_room(self, expected: wp.array, position: wp.array) -> None:
         """What has strayed from where it was expected is given room to do so again."""
-        limits = [wp.float64(self._least_room), wp.float64(MOST_ROOM * self._least_room)]
-        self._launcher.launch(make_room, self._layout.node_count, [*limits, expected, position], [self.room])
+        inputs = [wp.float64(MOST_ROOM * self.least_room), expected, position]
+        self._launcher.launch(make_room, self._layout.node_count, inputs, [self.room])
 
-    def recall(self, start: wp.array, *, within: bool = False) -> None:
+    def recall(self, *, within: bool = False) -> None:
         """Begins with the pairs last found, with the forces that they had; within: earlier in this substep."""
         self._allocate()
         self._hold_pairs()
-        inputs = [self._drawn, self._radius, start, self._kept if within else self._held]
-        self._launch(recall, inputs, PAIR_WORK)
+        self._launch(recall, [self._kept if within else self._held], PAIR_WORK)
 
     def forget(self) -> None:
         """There are no contacts."""
@@ -165,6 +166,7 @@ class EdgeContacts:
         """Forces at `position` are those to go on from; where strands moved less than `calm`, they are held."""
         self._hold(start, position, ways, calm, np.inf)
         self._remember(self._held)
+        self._launcher.launch(lose_room, self._layout.node_count, [], [self.room])
 
     def _remember(self, forces: Held) -> None:
         inputs = [self.pairs.first, self.pairs.incident, self._meetings]
@@ -178,7 +180,7 @@ class EdgeContacts:
         stiffness: (node_count,) [N/m] of nodes.  steady: what pushes keeps its place where strands moved less than
         this part of a segment.
         """
-        inputs = [self._reach, stiffness, self._strand, ways, wp.float64(steady), start, position]
+        inputs = [self._nodes, stiffness, ways, wp.float64(steady), start, position]
         self._launch(locate, inputs, LOCATE_WORK)
 
     def pass_on(self) -> None:
@@ -192,11 +194,11 @@ class EdgeContacts:
 
     def _hold(self, start: wp.array, position: wp.array, ways: Ways, calmer: float, calm: float) -> None:
         limits = [wp.float64(calmer), wp.float64(calm)]
-        self._launch(hold, [self._friction, start, position, self._strand, ways, *limits], PAIR_WORK)
+        self._launch(hold, [self._nodes, start, position, ways, *limits], PAIR_WORK)
 
     def press(self, start: wp.array, position: wp.array) -> None:
         """Forces and stiffnesses at `position`; lists what acts."""
-        self._launch(press, [self._friction, start, position], PAIR_WORK)
+        self._launch(press, [self._nodes, start, position], PAIR_WORK)
         launcher, edges = self._launcher, self._layout.node_count - 1
         pairs, acts = self.pairs, self._meetings.acts
         inputs = [pairs.first, pairs.incident, acts]

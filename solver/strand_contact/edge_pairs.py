@@ -117,14 +117,15 @@ class EdgePairs:
         self._first_second = self._full(self._node_count + 1, wp.int32)
         self._clear()
 
-    def find(self, start: wp.array, end: wp.array, room: wp.array | None = None) -> bool:
+    def find(self, start: wp.array, end: wp.array, room: wp.array | None = None, least_room: float = 0.0) -> bool:
         """Finds the pairs of a motion; whether there are any. One launch if no strand is near another or itself.
 
-        start, end: (node_count,) vec3d [m] world.  room: (node_count,) float64 [m], beyond the reaches;
-        None: none.
+        start, end: (node_count,) vec3d [m] world.  room: (node_count,) float64 [m], beyond the reaches,
+        and no less than `least_room`.
         """
         motion = _common_motion(start, end)
         self._edges.room = self._no_room if room is None else room
+        self._edges.least_room = least_room
         # In a thick of strands, the search itself is cheaper than asking which take part.
         asked = self.near.mean() < THICK
         inputs = [self._edges, start, end, motion, asked]

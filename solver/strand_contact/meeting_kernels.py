@@ -58,13 +58,24 @@ HELD_AN_EDGE = wp.constant(4)
 
 
 @wp.struct
+class Nodes:
+    """What is constant of nodes, (node_count,) each."""
+
+    reach: wp.array(dtype=wp.float64)  # [m] half of the distance to keep
+    radius: wp.array(dtype=wp.float64)  # [m]
+    friction: wp.array(dtype=wp.float64)  # Coulomb coefficient; a pair's is the mean of both
+    drawn: wp.array(dtype=wp.vec3d)  # [m] where the artist has drawn them: what is near there is meant to be
+    strand: wp.array(dtype=wp.int32)
+
+
+@wp.struct
 class Meetings:
     """Pairs of edges that may meet in a substep, (pair_count,) each; edge k joins nodes k and k + 1."""
 
     edges: wp.array(dtype=wp.vec2i)  # a, b
-    apart: wp.array(dtype=wp.vec3d)  # [m] from b to a at the start
-    drawn: wp.array(dtype=wp.float64)  # [m] their distance as drawn
-    clear_until: wp.array(dtype=wp.float64)  # [m] way of their strands together for which they surely keep apart
+    apart: wp.array(dtype=wp.vec3d)  # [m] from b to a at the start, once `drawn` is known
+    drawn: wp.array(dtype=wp.float64)  # [m] their distance as drawn; negative: not known yet
+    clear_until: wp.array(dtype=wp.float64)  # [m] travel of both together for which they surely keep apart
     place: wp.array(dtype=wp.vec2d)  # where on a and on b, 0 to 1
     normal: wp.array(dtype=wp.vec3d)  # from b to a
     target: wp.array(dtype=wp.float64)  # [m] distance to keep
@@ -87,11 +98,11 @@ class Meetings:
 
 @wp.struct
 class Ways:
-    """How strands move in the passes of a substep, (strand_count,) each."""
+    """How strands move in the passes of a substep."""
 
-    moved: wp.array(dtype=wp.float64)  # the longest displacement in the last step, over the strand's segments
-    travel: wp.array(dtype=wp.float64)  # [m] the way of any node since the first pass, at most
-    stray: wp.array(dtype=wp.float64)  # how far a node is from where it was expected, at most, over its room
+    moved: wp.array(dtype=wp.float64)  # (strand_count,) longest displacement in the last step, over its segments
+    stray: wp.array(dtype=wp.float64)  # (strand_count,) furthest of a node from where expected, over its room
+    travel: wp.array(dtype=wp.float64)  # (node_count,) [m] way since the first pass
 
 
 @wp.struct
@@ -137,7 +148,6 @@ def expect(
 @wp.kernel
 def make_room(
     first: int,
-    least: wp.float64,
     most: wp.float64,
     expected: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
@@ -145,18 +155,18 @@ def make_room(
 ):
     """Room for nodes that stray from where they are expected, to do so again; one node an item.
 
-    least, most: [m] of it.  room: (node_count,) [m].
+    most: [m] of it.  room: (node_count,) [m].
     """
     node = first + wp.tid()
     stray = wp.length(x[node] - expected[node])
-    room[node] = wp.clamp(wp.max(room[node], AGAIN * stray), least, most)
+    room[node] = wp.min(wp.max(room[node], AGAIN * stray), most)
 
 
 @wp.kernel
-def lose_room(first: int, least: wp.float64, room: wp.array(dtype=wp.float64)):
+def lose_room(first: int, room: wp.array(dtype=wp.float64)):
     """What nodes have not needed they have less of in the next substep; one node an item."""
     node = first + wp.tid()
-    room[node] = wp.max(least, KEPT * room[node])
+    room[node] = KEPT * room[node]
 
 
 @wp.func
@@ -172,24 +182,13 @@ def rest(meetings: Meetings, item: int):
 @wp.kernel
 def recall(
     first: int,
-    drawn: wp.array(dtype=wp.vec3d),
-    radius: wp.array(dtype=wp.float64),
-    start: wp.array(dtype=wp.vec3d),
     held: Held,
     meetings: Meetings,
 ):
-    """How a pair begins, and the forces that it had before; one pair an item.
-
-    drawn: (node_count,) [m] as the artist has drawn them: what is near there is as near as it is meant to be; and
-    what is drawn through each other is no pair.  radius: (node_count,) [m].
-    """
+    """How a pair begins, and the forces that it had before; one pair an item."""
     item = first + wp.tid()
     edges = meetings.edges[item]
-    a = edges[0]
-    b = edges[1]
-    place = closest_on_edges(start[a], start[a + 1], start[b], start[b + 1])
-    meetings.apart[item] = along(start, a, place[0]) - along(start, b, place[1])
-    meetings.drawn[item] = distance_of_edges(drawn[a], drawn[a + 1], drawn[b], drawn[b + 1])
+    meetings.drawn[item] = -ONE
     pressure = ZERO
     traction = wp.vec3d()
     for i in range(HELD_AN_EDGE):
@@ -204,10 +203,6 @@ def recall(
     meetings.clear_until[item] = -ONE
     meetings.swings[item] = 0
     meetings.sliding[item] = wp.vec3d()
-    if drawn_through(radius, a, b, meetings.drawn[item]):
-        meetings.clear_until[item] = NEVER_AGAIN
-        meetings.fault[item] = 0
-        rest(meetings, item)
 
 
 @wp.kernel
@@ -238,12 +233,44 @@ def remember(
                 held_out.traction[slot] = meetings.traction[pair]
 
 
+@wp.func
+def begin(nodes: Nodes, start: wp.array(dtype=wp.vec3d), widest: wp.float64, item: int, meetings: Meetings):
+    """How far apart a pair is at the start, and as drawn; where that is more than `widest`, only that it is."""
+    a = meetings.edges[item][0]
+    b = meetings.edges[item][1]
+    place = closest_on_edges(start[a], start[a + 1], start[b], start[b + 1])
+    meetings.apart[item] = along(start, a, place[0]) - along(start, b, place[1])
+    u = nodes.drawn[a + 1] - nodes.drawn[a]
+    v = nodes.drawn[b + 1] - nodes.drawn[b]
+    w = nodes.drawn[b] + HALF * v - nodes.drawn[a] - HALF * u
+    drawn = wp.length(w) - HALF * (wp.length(u) + wp.length(v))
+    if drawn <= widest:
+        drawn = distance_of_edges(nodes.drawn[a], nodes.drawn[a + 1], nodes.drawn[b], nodes.drawn[b + 1])
+    meetings.drawn[item] = drawn
+
+
+@wp.func
+def least_of_boxes(
+    a0: wp.vec3d,
+    a1: wp.vec3d,
+    b0: wp.vec3d,
+    b1: wp.vec3d,
+    c0: wp.vec3d,
+    c1: wp.vec3d,
+    d0: wp.vec3d,
+    d1: wp.vec3d,
+) -> wp.float64:
+    """How far apart the boxes of two edges' ways are along an axis; negative where they overlap along all."""
+    lower = wp.min(wp.min(a0, a1), wp.min(c0, c1)) - wp.max(wp.max(b0, b1), wp.max(d0, d1))
+    upper = wp.min(wp.min(b0, b1), wp.min(d0, d1)) - wp.max(wp.max(a0, a1), wp.max(c0, c1))
+    return wp.max(wp.max(lower), wp.max(upper))
+
+
 @wp.kernel
 def locate(
     first: int,
-    reach: wp.array(dtype=wp.float64),
+    nodes: Nodes,
     stiffness: wp.array(dtype=wp.float64),
-    strand: wp.array(dtype=wp.int32),
     ways: Ways,
     steady: wp.float64,
     start: wp.array(dtype=wp.vec3d),
@@ -255,13 +282,12 @@ def locate(
     What pushes keeps its place and normal once its strands move less than `steady`: points of nearly parallel
     edges would go to and fro.
 
-    reach: (node_count,) [m], half of the distance to keep.  stiffness: (node_count,) [N/m] of the nodes.
-    strand: (node_count,) of each node.
+    stiffness: (node_count,) [N/m] of the nodes.
     """
     item = first + wp.tid()
     a = meetings.edges[item][0]
     b = meetings.edges[item][1]
-    travelled = ways.travel[strand[a]] + ways.travel[strand[b]]
+    travelled = wp.max(ways.travel[a], ways.travel[a + 1]) + wp.max(ways.travel[b], ways.travel[b + 1])
     if travelled < meetings.clear_until[item]:
         return
     a0 = start[a]
@@ -272,15 +298,23 @@ def locate(
     c1 = x[a + 1]
     d0 = x[b]
     d1 = x[b + 1]
-    lower = wp.min(wp.min(a0, a1), wp.min(c0, c1)) - wp.max(wp.max(b0, b1), wp.max(d0, d1))
-    upper = wp.min(wp.min(b0, b1), wp.min(d0, d1)) - wp.max(wp.max(a0, a1), wp.max(c0, c1))
-    clear = wp.max(wp.max(lower), wp.max(upper))
-    widest = wp.max(reach[a], reach[a + 1]) + wp.max(reach[b], reach[b + 1])
-    apart = meetings.apart[item]
-    before = wp.length(apart)
-    place = closest_on_edges(c0, c1, d0, d1)
+    reach_a = wp.max(nodes.reach[a], nodes.reach[a + 1])
+    reach_b = wp.max(nodes.reach[b], nodes.reach[b + 1])
+    widest = reach_a + reach_b
+    clear = least_of_boxes(a0, a1, b0, b1, c0, c1, d0, d1)
+    apart = wp.vec3d()
+    place = wp.vec2d()
     if clear <= widest:
-        # Their boxes do not keep apart. Their distance changes by no more than their ends move against each other.
+        if meetings.drawn[item] < ZERO:
+            begin(nodes, start, widest, item, meetings)
+            if drawn_through(nodes.radius, a, b, meetings.drawn[item]):
+                meetings.clear_until[item] = NEVER_AGAIN
+                meetings.fault[item] = 0
+                rest(meetings, item)
+                return
+        apart = meetings.apart[item]
+        place = closest_on_edges(c0, c1, d0, d1)
+        # Their distance changes by no more than their ends move against each other.
         after = between(c0, c1, d0, d1, place)
         clear = least_distance(apart, a1 - a0, b1 - b0) + least_distance(after, c1 - c0, d1 - d0)
         clear = HALF * (clear - largest_shift(c0 - a0, c1 - a1, d0 - b0, d1 - b1))
@@ -292,9 +326,10 @@ def locate(
         rest(meetings, item)
         return
     fault = wp.int32(0)
-    least = LEFT * wp.min(before, reach[a] + reach[b])
-    suspect = may_cross(a0, a1, b0, b1, c0, c1, d0, d1)
-    if not suspect:
+    before = wp.length(apart)
+    least = LEFT * wp.min(before, nodes.reach[a] + nodes.reach[b])
+    suspect = clear <= least and may_cross(a0, a1, b0, b1, c0, c1, d0, d1)
+    if clear <= least and not suspect:
         # So near an end on the right side that the closest points, which are drawn to the middles, show another.
         if wp.dot(between(c0, c1, d0, d1, place), apart) <= ZERO:
             suspect = distance_of_edges(c0, c1, d0, d1) < least
@@ -321,7 +356,9 @@ def locate(
     normal = wp.vec3d()
     if distance > ZERO:
         normal = offset / distance
-    full = (ONE - s) * reach[a] + s * reach[a + 1] + (ONE - t) * reach[b] + t * reach[b + 1]
+    full = (
+        (ONE - s) * nodes.reach[a] + s * nodes.reach[a + 1] + (ONE - t) * nodes.reach[b] + t * nodes.reach[b + 1]
+    )
     full = wp.min(full, meetings.drawn[item])
     target = full
     if before < full:
@@ -336,9 +373,9 @@ def locate(
         gap = wp.max(gap, ZERO)
         rest(meetings, item)
     # Towards a root, where the reach goes to nothing, gaps are no more exact than elsewhere on its edge.
-    slack = TWO * OVERLAP * wp.min(wp.max(reach[a], reach[a + 1]), wp.max(reach[b], reach[b + 1]))
+    slack = TWO * OVERLAP * wp.min(reach_a, reach_b)
     keeps = meetings.acts[item] != 0 and held > ZERO and wp.abs(gap) <= slack
-    keeps = keeps and wp.max(ways.moved[strand[a]], ways.moved[strand[b]]) <= steady
+    keeps = keeps and wp.max(ways.moved[nodes.strand[a]], ways.moved[nodes.strand[b]]) <= steady
     if fault == CROSSING:
         meetings.turned[item] = 1
     elif meetings.turned[item] != 0:
@@ -371,7 +408,7 @@ class Push:
 
 @wp.func
 def push(
-    friction: wp.array(dtype=wp.float64),
+    nodes: Nodes,
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
     meetings: Meetings,
@@ -393,7 +430,7 @@ def push(
     if out.pressure > ZERO:
         nn = wp.outer(n, n)
         out.block = k * nn
-        bound = wp.float64(0.5) * (friction[a] + friction[b]) * held
+        bound = HALF * (nodes.friction[a] + nodes.friction[b]) * held
         if bound > ZERO:
             across = wp.identity(n=3, dtype=wp.float64) - nn
             slip = offset - along(start, a, s) + along(start, b, t)
@@ -415,21 +452,18 @@ def push(
 @wp.kernel
 def press(
     first: int,
-    friction: wp.array(dtype=wp.float64),
+    nodes: Nodes,
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
     meetings: Meetings,
 ):
-    """Force and stiffness at `x` of each pair; one an item. What presses from too far is out of place.
-
-    friction: (node_count,) Coulomb coefficient; a pair's is the mean of both.
-    """
+    """Force and stiffness at `x` of each pair; one an item. What presses from too far is out of place."""
     item = first + wp.tid()
-    parted = meetings.pressure[item] == ZERO and meetings.gap[item] > ZERO and meetings.acts[item] == 0
-    if meetings.stiffness[item] == ZERO or parted:
-        meetings.acts[item] = 0
+    if meetings.stiffness[item] == ZERO:
         return
-    pushed = push(friction, start, x, meetings, item)
+    if meetings.pressure[item] == ZERO and meetings.gap[item] > ZERO and meetings.acts[item] == 0:
+        return
+    pushed = push(nodes, start, x, meetings, item)
     meetings.acts[item] = wp.where(pushed.pressure > ZERO, 1, 0)
     meetings.force[item] = pushed.pressure * meetings.normal[item] + pushed.traction
     meetings.block[item] = pushed.block
@@ -443,10 +477,9 @@ def press(
 @wp.kernel
 def hold(
     first: int,
-    friction: wp.array(dtype=wp.float64),
+    nodes: Nodes,
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
-    strand: wp.array(dtype=wp.int32),
     ways: Ways,
     calmer: wp.float64,
     calm: wp.float64,
@@ -456,17 +489,15 @@ def hold(
 
     If of its two strands the one that moved further did so by more than `calmer`, up to `calm`. Or if there is
     less of it: what has parted presses no more.
-
-    strand: (node_count,) of each node.
     """
     item = first + wp.tid()
     if meetings.stiffness[item] == ZERO or meetings.acts[item] == 0:
         return
     edges = meetings.edges[item]
-    moved = wp.max(ways.moved[strand[edges[0]]], ways.moved[strand[edges[1]]])
+    moved = wp.max(ways.moved[nodes.strand[edges[0]]], ways.moved[nodes.strand[edges[1]]])
     if moved <= calmer:
         return
-    pushed = push(friction, start, x, meetings, item)
+    pushed = push(nodes, start, x, meetings, item)
     if moved > calm and (meetings.gap[item] <= meetings.slack[item] or pushed.pressure >= meetings.pressure[item]):
         return
     meetings.pressure[item] = pushed.pressure
