@@ -22,8 +22,8 @@ import warp as wp
 from plait.solver.diagnostics import NoSuchDevice
 from plait.solver.warp_start import start_warp
 
-# Handing work to a thread and waiting for it takes 30 to 60 us, that of 2500 skinned points, the unit of work.
-MIN_WORK_A_THREAD = 2500
+# Handing work to a thread and waiting for it takes some 50 us, that of 3000 skinned points, the unit of work.
+MIN_WORK_A_THREAD = 4000
 
 
 class Launcher:

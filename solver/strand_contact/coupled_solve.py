@@ -29,8 +29,8 @@ FREE_TOLERANCE, TIED_TOLERANCE, MAX_TIED_ITERATIONS = 1e-5, 1e-10, 400
 STIFF = 2.0
 # How far strands out of play move: less than not at all, so that nothing between them changes.
 AT_REST = -2.0
-# Cost of an item in units of `Launcher.launch`.
-NODE_WORK = 8
+# Costs of a node in units of `Launcher.launch`; in an iteration of the linear solve.
+NODE_WORK, ITERATION_WORK = 8, 1
 
 
 class CoupledSolve:
@@ -71,7 +71,7 @@ class CoupledSolve:
         )
         self._definite = wp.zeros(strands, dtype=wp.int32, device=device)
         self._couplings, self._room = self._kernels.Couplings(), -1
-        self._work = NODE_WORK * max(1, nodes // strands)
+        self._work, self._iteration_work = (n * max(1, nodes // strands) for n in (NODE_WORK, ITERATION_WORK))
         self.iterations = 0
 
     # -- which strands -------------------------------------------------------------------------------------
@@ -126,13 +126,16 @@ class CoupledSolve:
             self._active,
         )
 
-        def prepare(kernel: wp.Kernel, inputs: list[Any], outputs: list[Any]) -> Callable[[], None]:
-            return self._launcher.prepare(kernel, self._count, inputs, outputs, work_per_item=self._work)
+        def prepare(
+            kernel: wp.Kernel, inputs: list[Any], outputs: list[Any], work: int = self._work
+        ) -> Callable[[], None]:
+            return self._launcher.prepare(kernel, self._count, inputs, outputs, work_per_item=work)
 
         system = [active, rods, planes, constrained, self._roots, self._inertia]
         outputs = [krylov, self._product, self._definite, self.left]
         self._linearise = prepare(kernels.linearise, [*system, scratch], outputs)
-        self._descend = prepare(kernels.descend, [active, self._alpha, rods], [scratch, krylov, self._product])
+        outputs = [scratch, krylov, self._product]
+        self._descend = prepare(kernels.descend, [active, self._alpha, rods], outputs, self._iteration_work)
         room = [self._contacts.room, wp.float64(self._contacts.least_room)]
         inputs = [*system, self._relaxation, krylov, scratch, expected, *room]
         self._advance = prepare(kernels.advance, inputs, [self.position, self.ways])
@@ -158,7 +161,7 @@ class CoupledSolve:
             self._count,
             [self._active, self._rods, acting[0], self._couplings, self._scratch, self._beta],
             [self._krylov, self._product],
-            work_per_item=self._work,
+            work_per_item=self._iteration_work,
         )
 
     def step(self, relaxation: float) -> None:
