@@ -18,6 +18,7 @@ from plait.solver.strand_contact.crossing_kernels import (
     closest_on_edges,
     distance_of_edges,
     drawn_through,
+    exactly_closest,
     first_touch,
     largest_shift,
     least_distance,
@@ -348,7 +349,8 @@ def locate(
             c1 = a1 + time * (c1 - a1)
             d0 = b0 + time * (d0 - b0)
             d1 = b1 + time * (d1 - b1)
-            place = closest_on_edges(c0, c1, d0, d1)
+            # So near each other that points drawn to the middles would show a way along the edges.
+            place = exactly_closest(c0, c1, d0, d1)
     s = place[0]
     t = place[1]
     offset = between(c0, c1, d0, d1, place)
