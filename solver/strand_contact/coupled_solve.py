@@ -175,8 +175,8 @@ class CoupledSolve:
         self._beta.zero_()
         for done in range(iterations):
             if done == 1 and self._constrained:
-                # What surfaces push strands out by is stiff, and each strand's own matrix has taken it away: beside
-                # it what strands do to each other would be too little to solve for.
+                # What surfaces push strands out by is stiff, and each strand's own matrix has taken it away:
+                # beside it what strands do to each other would be too little to solve for.
                 enough = min(enough, max(LINEAR_TOLERANCE**2 * left, self._enough))
             if left <= enough:
                 break
