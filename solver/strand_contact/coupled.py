@@ -179,7 +179,7 @@ class StrandContact:
     def crossed(self, position: wp.array) -> bool:
         """Whether strands go through each other between the substep's start and `position`."""
         wp.copy(self._solve.position, position)
-        self._find_again()
+        self._find_again(elsewhere=True)
         self._locate()
         return len(self.contacts.crossing()) > 0
 
@@ -257,16 +257,16 @@ class StrandContact:
         segment = self._layout.mean_segment[self._layout.node_strand[edges]].min(axis=1)
         return bool((-meetings.gap.numpy()[through] > FURTHEST * segment).any())
 
-    def _find_again(self) -> None:
-        """Strands have left the places for which pairs were found."""
+    def _find_again(self, *, elsewhere: bool = False) -> None:
+        """Strands have left the places for which pairs were found; `elsewhere`: not by steps."""
         solve = self._solve
         nodes = self.solved[self._layout.node_strand]
         places = np.where(nodes[:, None], solve.position.numpy(), self._expected.numpy())
         if self._in_contact:
             meets, self._expected = self.contacts.find_again(self._start, self._expected, places)
             self._meets = meets or self._meets
+            self.contacts.resume(elsewhere)
         solve.take(self._near)
-        self.contacts.recall(within=True)
         solve.play(*self._surfaces, self._expected)
 
     def _hold_back(self) -> None:
@@ -282,7 +282,7 @@ class StrandContact:
             self.tally.held_back += len(strands)
             self._solve.hold_back(part, whole)
             known = self.solved
-            self._find_again()
+            self._find_again(elsewhere=True)
             new = (self.solved & ~known)[self._layout.node_strand]
             whole.assign(np.where(new[:, None], self._solve.position.numpy(), whole.numpy()))
             self._locate()
