@@ -178,6 +178,8 @@ def rest(meetings: Meetings, item: int):
     meetings.traction[item] = wp.vec3d()
     meetings.heir[item] = -1
     meetings.acts[item] = 0
+    # The side that it was kept on is of another place than where its edges may meet again.
+    meetings.turned[item] = 0
 
 
 @wp.func
