@@ -67,6 +67,7 @@ class StrandContact:
         self._solve: CoupledSolve | None = None
         self._meets = False
         self._passes = 0
+        self._calm = CALM
         self.tally = Tally()
 
     def begin_frame(self) -> None:
@@ -135,7 +136,7 @@ class StrandContact:
         solve, self._surfaces = self._solve, (planes, constrained)
         before = solve.iterations
         solve.play(planes, constrained, self._expected)
-        stands = full = False
+        stands = full = settled = False
         for done in range(self._settings.passes + 1):
             if done and solve.largest(solve.ways.stray) > 1.0:
                 self._find_again()
@@ -145,14 +146,17 @@ class StrandContact:
             if done == 1 and not last_resort and self._too_fast():
                 break
             if done:
-                self.contacts.hold(self._start, solve.position, solve.ways, CALM)
+                self._calm = ADRIFT if settled else CALM
+                self.contacts.hold(self._start, solve.position, solve.ways, self._calm)
             self.contacts.press(self._start, solve.position)
             solve.linearise()
-            stands = bool(done) and full and self._at_an_end(done)
+            settled = bool(done) and self._settled(done)
+            stands = settled and full and self._in_place(done)
             if stands and not solve.all_play:
                 solve.play(*self._surfaces, self._expected)
                 solve.linearise()
-                stands = self._at_an_end(done)
+                settled = self._settled(done)
+                stands = settled and self._in_place(done)
             if stands or done == self._settings.passes:
                 break
             if done >= FREE_PLACES and self.ties is None:
@@ -175,14 +179,14 @@ class StrandContact:
     def crossed(self, position: wp.array) -> bool:
         """Whether strands go through each other between the substep's start and `position`."""
         wp.copy(self._solve.position, position)
-        self._find_again()
+        self._find_again(elsewhere=True)
         self._locate()
         return len(self.contacts.crossing()) > 0
 
     def commit(self) -> None:
         """The substep stands: its contacts are those to go on from."""
         if self._meets:
-            self.contacts.commit(self._start, self._solve.position, self._solve.ways, CALM)
+            self.contacts.commit(self._start, self._solve.position, self._solve.ways, self._calm)
         if self.ties is not None:
             self.ties.commit()
         self.tally.most_passes = max(self.tally.most_passes, self._passes)
@@ -215,11 +219,12 @@ class StrandContact:
         if self.ties is not None:
             self.ties.measure()
 
-    def _at_an_end(self, done: int) -> bool:
-        """Whether every strand is in balance, went through none, is in place and keeps to what it is tied to."""
-        solve = self._solve
-        if not solve.solved or not solve.settled_strands(*self._tolerance(done)).all():
-            return False
+    def _settled(self, done: int) -> bool:
+        """Whether every strand is in balance."""
+        return self._solve.solved and bool(self._solve.settled_strands(*self._tolerance(done)).all())
+
+    def _in_place(self, done: int) -> bool:
+        """Whether every strand went through none, is in place and keeps to what it is tied to."""
         faults = self.contacts.faults()
         fault = int(np.bitwise_or.reduce(faults)) if len(faults) else 0
         tied = self.ties is None or self.ties.hold_exactly
@@ -252,16 +257,16 @@ class StrandContact:
         segment = self._layout.mean_segment[self._layout.node_strand[edges]].min(axis=1)
         return bool((-meetings.gap.numpy()[through] > FURTHEST * segment).any())
 
-    def _find_again(self) -> None:
-        """Strands have left the places for which pairs were found."""
+    def _find_again(self, *, elsewhere: bool = False) -> None:
+        """Strands have left the places for which pairs were found; `elsewhere`: not by steps."""
         solve = self._solve
         nodes = self.solved[self._layout.node_strand]
         places = np.where(nodes[:, None], solve.position.numpy(), self._expected.numpy())
         if self._in_contact:
             meets, self._expected = self.contacts.find_again(self._start, self._expected, places)
             self._meets = meets or self._meets
+            self.contacts.resume(elsewhere)
         solve.take(self._near)
-        self.contacts.recall(within=True)
         solve.play(*self._surfaces, self._expected)
 
     def _hold_back(self) -> None:
@@ -277,7 +282,7 @@ class StrandContact:
             self.tally.held_back += len(strands)
             self._solve.hold_back(part, whole)
             known = self.solved
-            self._find_again()
+            self._find_again(elsewhere=True)
             new = (self.solved & ~known)[self._layout.node_strand]
             whole.assign(np.where(new[:, None], self._solve.position.numpy(), whole.numpy()))
             self._locate()

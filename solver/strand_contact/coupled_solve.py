@@ -114,6 +114,7 @@ class CoupledSolve:
         else:
             self.ways.moved.assign(self._last_moved)
         self._count, self._active = len(self._playing), self._hold(self._playing)
+        self._constrained = constrained
         self._record(planes, constrained, expected)
 
     def _record(self, planes: ContactPlanes, constrained: bool, expected: wp.array) -> None:
@@ -175,7 +176,11 @@ class CoupledSolve:
         if self._ties is not None and self._ties.joins_strands:
             enough, iterations = TIED_TOLERANCE**2 * left, MAX_TIED_ITERATIONS
         self._beta.zero_()
-        for _ in range(iterations):
+        for done in range(iterations):
+            if done == 1 and self._constrained:
+                # What surfaces push strands out by is stiff, and each strand's own matrix has taken it away:
+                # beside it what strands do to each other would be too little to solve for.
+                enough = min(enough, max(LINEAR_TOLERANCE**2 * left, self._enough))
             if left <= enough:
                 break
             self._image()

@@ -105,8 +105,8 @@ def closest_on_edge(p: wp.vec3d, a0: wp.vec3d, u: wp.vec3d) -> wp.float64:
 
 
 @wp.func
-def vector_between_edges(a0: wp.vec3d, a1: wp.vec3d, b0: wp.vec3d, b1: wp.vec3d) -> wp.vec3d:
-    """The shortest vector [m] from edge a to edge b, exact to about 1e-12 of their lengths."""
+def exactly_closest(a0: wp.vec3d, a1: wp.vec3d, b0: wp.vec3d, b1: wp.vec3d) -> wp.vec2d:
+    """Parameters (s, t) in [0, 1] of the edges' closest points; of parallel edges, of some that are as close."""
     u = a1 - a0
     v = b1 - b0
     w = b0 - a0
@@ -116,19 +116,25 @@ def vector_between_edges(a0: wp.vec3d, a1: wp.vec3d, b0: wp.vec3d, b1: wp.vec3d)
         # Through the cross product: the determinant by dot products would lose half the digits.
         s = unit_clamp(wp.dot(wp.cross(w, v), across) / sine)
         t = closest_on_edge(a0 + s * u, b0, v)
-        s = closest_on_edge(b0 + t * v, a0, u)
-        return w + t * v - s * u
-    best = w + closest_on_edge(a0, b0, v) * v
-    other = w + closest_on_edge(a1, b0, v) * v - u
-    if wp.dot(other, other) < wp.dot(best, best):
+        return wp.vec2d(closest_on_edge(b0 + t * v, a0, u), t)
+    best = wp.vec2d(ZERO, closest_on_edge(a0, b0, v))
+    other = wp.vec2d(ONE, closest_on_edge(a1, b0, v))
+    if wp.length_sq(w + other[1] * v - other[0] * u) < wp.length_sq(w + best[1] * v - best[0] * u):
         best = other
-    other = w - closest_on_edge(b0, a0, u) * u
-    if wp.dot(other, other) < wp.dot(best, best):
+    other = wp.vec2d(closest_on_edge(b0, a0, u), ZERO)
+    if wp.length_sq(w + other[1] * v - other[0] * u) < wp.length_sq(w + best[1] * v - best[0] * u):
         best = other
-    other = w + v - closest_on_edge(b1, a0, u) * u
-    if wp.dot(other, other) < wp.dot(best, best):
+    other = wp.vec2d(closest_on_edge(b1, a0, u), ONE)
+    if wp.length_sq(w + other[1] * v - other[0] * u) < wp.length_sq(w + best[1] * v - best[0] * u):
         best = other
     return best
+
+
+@wp.func
+def vector_between_edges(a0: wp.vec3d, a1: wp.vec3d, b0: wp.vec3d, b1: wp.vec3d) -> wp.vec3d:
+    """The shortest vector [m] from edge a to edge b, exact to about 1e-12 of their lengths."""
+    place = exactly_closest(a0, a1, b0, b1)
+    return b0 - a0 + place[1] * (b1 - b0) - place[0] * (a1 - a0)
 
 
 @wp.func

@@ -26,6 +26,7 @@ from plait.solver.strand_contact.meeting_kernels import (
     press,
     recall,
     remember,
+    resume,
 )
 from plait.solver.strand_contact.passing_kernels import inherit, pass_on
 from plait.solver.strands.layout import Layout
@@ -101,8 +102,10 @@ class EdgeContacts:
         )
         self.least_room = 0.0
         self.lasting = wp.zeros(layout.strand_count, dtype=wp.int32, device=device)
-        self._kept: Held | None = None
-        self._room = -1
+        self._sought: wp.array | None = None
+        self._meetings, self._before = Meetings(), Meetings()
+        self._room = self._before_room = -1
+        self.acting: wp.array | None = None
 
     # -- which pairs ---------------------------------------------------------------------------------------
 
@@ -139,9 +142,11 @@ class EdgeContacts:
 
     def find_again(self, start: wp.array, expected: wp.array, places: np.ndarray) -> tuple[bool, wp.array]:
         """The same towards `places`, (node_count, 3) [m], with more room for what is not where it was `expected`;
-        forces are kept."""
+        what is known of pairs is kept."""
         self._allocate()
-        self._remember(self._kept)
+        self._meetings, self._before = self._before, self._meetings
+        self._room, self._before_room = self._before_room, self._room
+        self._before.edges, self._before_count = wp.clone(self.pairs.pairs), self.pairs.count
         self._places.assign(places)
         self.make_room(expected, self._places)
         wp.copy(self._sought, self._places)
@@ -152,11 +157,19 @@ class EdgeContacts:
         inputs = [wp.float64(MOST_ROOM * self.least_room), expected, position]
         self._launcher.launch(make_room, self._layout.node_count, inputs, [self.room])
 
-    def recall(self, *, within: bool = False) -> None:
-        """Begins with the pairs last found, with the forces that they had; within: earlier in this substep."""
+    def recall(self) -> None:
+        """Begins with the pairs last found, with the forces that they had."""
         self._allocate()
         self._hold_pairs()
-        self._launch(recall, [self._kept if within else self._held], PAIR_WORK)
+        self._launch(recall, [self._held], PAIR_WORK)
+
+    def resume(self, elsewhere: bool) -> None:
+        """Goes on with the pairs found again, with all that is known of those found before.
+
+        elsewhere: strands have not travelled to where they are now.
+        """
+        self._hold_pairs()
+        self._launch(resume, [self._before, self._before_count, elsewhere], PAIR_WORK)
 
     def forget(self) -> None:
         """There are no contacts."""
@@ -165,12 +178,9 @@ class EdgeContacts:
     def commit(self, start: wp.array, position: wp.array, ways: Ways, calm: float) -> None:
         """Forces at `position` are those to go on from; where strands moved less than `calm`, they are held."""
         self._hold(start, position, ways, calm, np.inf)
-        self._remember(self._held)
+        inputs, edges = [self.pairs.first, self.pairs.incident, self._meetings], self._layout.node_count - 1
+        self._launcher.launch(remember, edges, inputs, [self._held], work_per_item=PAIR_WORK)
         self._launcher.launch(lose_room, self._layout.node_count, [], [self.room])
-
-    def _remember(self, forces: Held) -> None:
-        inputs = [self.pairs.first, self.pairs.incident, self._meetings]
-        self._launcher.launch(remember, self._layout.node_count - 1, inputs, [forces], work_per_item=PAIR_WORK)
 
     # -- where and how they touch --------------------------------------------------------------------------
 
@@ -227,10 +237,9 @@ class EdgeContacts:
 
     def _allocate(self) -> None:
         """What contacts need, once there may be any."""
-        if self._kept is not None:
+        if self._sought is not None:
             return
         device, nodes = self._launcher.device, self._layout.node_count
-        self._kept = _allocate_held(nodes * int(HELD_AN_EDGE), device)
         self._sought, self._places = (wp.zeros(nodes, dtype=wp.vec3d, device=device) for _ in range(2))
         self._counts, self.acting_first = (wp.zeros(nodes + 1, dtype=wp.int32, device=device) for _ in range(2))
 
@@ -242,6 +251,7 @@ class EdgeContacts:
             self._meetings = Meetings()
             for name, dtype in MEETING_ARRAYS.items():
                 setattr(self._meetings, name, wp.zeros(self._room, dtype=dtype, device=device))
+        if self.acting is None or len(self.acting) < 2 * count:
             self.acting = wp.zeros(2 * self._room, dtype=wp.int32, device=device)
         self._meetings.edges = self.pairs.pairs
 

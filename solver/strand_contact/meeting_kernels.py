@@ -18,6 +18,7 @@ from plait.solver.strand_contact.crossing_kernels import (
     closest_on_edges,
     distance_of_edges,
     drawn_through,
+    exactly_closest,
     first_touch,
     largest_shift,
     least_distance,
@@ -177,32 +178,79 @@ def rest(meetings: Meetings, item: int):
     meetings.traction[item] = wp.vec3d()
     meetings.heir[item] = -1
     meetings.acts[item] = 0
+    # The side that it was kept on is of another place than where its edges may meet again.
+    meetings.turned[item] = 0
+
+
+@wp.func
+def begin_unknown(meetings: Meetings, item: int):
+    """A pair of which nothing is known yet."""
+    meetings.drawn[item] = -ONE
+    meetings.clear_until[item] = -ONE
+    meetings.pressure[item] = ZERO
+    meetings.traction[item] = wp.vec3d()
+    meetings.acts[item] = 0
+    meetings.turned[item] = 0
+    meetings.swings[item] = 0
+    meetings.sliding[item] = wp.vec3d()
 
 
 @wp.kernel
-def recall(
-    first: int,
-    held: Held,
-    meetings: Meetings,
-):
+def recall(first: int, held: Held, meetings: Meetings):
     """How a pair begins, and the forces that it had before; one pair an item."""
     item = first + wp.tid()
+    begin_unknown(meetings, item)
     edges = meetings.edges[item]
-    meetings.drawn[item] = -ONE
-    pressure = ZERO
-    traction = wp.vec3d()
     for i in range(HELD_AN_EDGE):
         slot = edges[0] * HELD_AN_EDGE + i
         if held.other[slot] == edges[1]:
-            pressure = held.pressure[slot]
-            traction = held.traction[slot]
-    meetings.pressure[item] = pressure
-    meetings.traction[item] = traction
-    meetings.acts[item] = 0
-    meetings.turned[item] = 0
-    meetings.clear_until[item] = -ONE
-    meetings.swings[item] = 0
-    meetings.sliding[item] = wp.vec3d()
+            meetings.pressure[item] = held.pressure[slot]
+            meetings.traction[item] = held.traction[slot]
+
+
+@wp.kernel
+def resume(first: int, before: Meetings, before_count: int, elsewhere: bool, meetings: Meetings):
+    """What was known of a pair when pairs were last found in this substep; one pair an item.
+
+    before: what was known, `before_count` pairs in order.
+    elsewhere: strands have not travelled to where they are now: nothing surely keeps apart.
+    """
+    item = first + wp.tid()
+    edges = meetings.edges[item]
+    low = wp.int32(0)
+    high = before_count
+    while low < high:
+        middle = (low + high) / 2
+        other = before.edges[middle]
+        if other[0] < edges[0] or (other[0] == edges[0] and other[1] < edges[1]):
+            low = middle + 1
+        else:
+            high = middle
+    known = wp.bool(False)
+    if low < before_count:
+        known = before.edges[low] == edges
+    if not known:
+        begin_unknown(meetings, item)
+        return
+    meetings.apart[item] = before.apart[low]
+    meetings.drawn[item] = before.drawn[low]
+    meetings.clear_until[item] = before.clear_until[low]
+    meetings.place[item] = before.place[low]
+    meetings.normal[item] = before.normal[low]
+    meetings.target[item] = before.target[low]
+    meetings.gap[item] = before.gap[low]
+    meetings.slack[item] = before.slack[low]
+    meetings.fault[item] = before.fault[low]
+    meetings.turned[item] = before.turned[low]
+    meetings.stiffness[item] = before.stiffness[low]
+    meetings.pressure[item] = before.pressure[low]
+    meetings.traction[item] = before.traction[low]
+    meetings.sliding[item] = before.sliding[low]
+    meetings.swings[item] = before.swings[low]
+    meetings.acts[item] = before.acts[low]
+    if elsewhere:
+        meetings.drawn[item] = -ONE
+        meetings.clear_until[item] = -ONE
 
 
 @wp.kernel
@@ -348,7 +396,8 @@ def locate(
             c1 = a1 + time * (c1 - a1)
             d0 = b0 + time * (d0 - b0)
             d1 = b1 + time * (d1 - b1)
-            place = closest_on_edges(c0, c1, d0, d1)
+            # So near each other that points drawn to the middles would show a way along the edges.
+            place = exactly_closest(c0, c1, d0, d1)
     s = place[0]
     t = place[1]
     offset = between(c0, c1, d0, d1, place)
