@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdSkel, Vt
 
+from plait.assets.stages import make_smooth
+
 FOLDER = Path(__file__).parent / "small"
 SHOT, REFERENCE = "shot.usda", "reference.usdc"
 FRAMES, RATE = 24, 24.0
@@ -161,9 +163,7 @@ def _strands(stage: Usd.Stage, points: np.ndarray, faces: list[list[int]]) -> No
     places = [(0.25 + 0.04 * (k % 7), 0.70 - 0.05 * (k % 5)) for k in range(STRANDS)]
     drawn = np.concatenate([_drawn(points[faces[f]], *uv) for f, uv in zip(prims, places, strict=True)])
     curves = UsdGeom.BasisCurves.Define(stage, "/World/Hair")
-    curves.CreateTypeAttr(UsdGeom.Tokens.cubic)
-    curves.CreateBasisAttr(UsdGeom.Tokens.catmullRom)
-    curves.CreateWrapAttr(UsdGeom.Tokens.pinned)
+    make_smooth(curves)
     curves.CreateCurveVertexCountsAttr([POINTS] * STRANDS)
     curves.CreatePointsAttr(_vectors(drawn))
     curves.CreateWidthsAttr([0.1])

@@ -93,7 +93,7 @@ def test_a_braid_left_loose_or_passed_through_fails_its_check():
 def test_a_tube_that_one_strand_passes_through_fails_its_check():
     example = load(next(folder for folder in EXAMPLES if folder.name == "hair_tubes"))
     points = {"upper": example.np.zeros((2, 4, 9, 3)), "lower": example.np.zeros((2, 4, 9, 3))}
-    without = example.Result(points, missed=16, strain=0.0, seconds=0.0)
+    without = example.Played(points, missed=16, strain=0.0, seconds=0.0)
     example.check({"none": without, "implicit": example.replace(without, missed=0)})
     for broken in ({"missed": 1}, {"missed": 0, "strain": 0.1}):
         with pytest.raises(AssertionError):

@@ -9,7 +9,7 @@ import trimesh
 from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
 from plait.assets.small_scene import capsule
-from plait.assets.stages import author_roots, define_mesh, new_stage
+from plait.assets.stages import author_roots, define_mesh, make_smooth, new_stage
 
 FRAMES, RATE = 60, 30.0
 LENGTH, RADIUS = 0.6, 0.05  # [m] of the arm: a capsule along X, the elbow in its middle
@@ -20,10 +20,7 @@ JOINTS = ("Shoulder", "Shoulder/Elbow")
 
 def write(path: Path) -> None:
     """Writes the shot to `path`."""
-    stage = new_stage(path)
-    stage.SetTimeCodesPerSecond(RATE)
-    stage.SetStartTimeCode(1)
-    stage.SetEndTimeCode(FRAMES)
+    stage = new_stage(path, (1, FRAMES), RATE)
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
     UsdSkel.Root.Define(stage, "/World/Arm")
     points, faces = capsule(RADIUS, LENGTH, around=16, rings=28)
@@ -83,9 +80,7 @@ def _add_fur(stage: Usd.Stage, skin: trimesh.Trimesh) -> None:
         for root, normal in zip(roots, skin.face_normals[faces], strict=True)
     ]
     fur = UsdGeom.BasisCurves.Define(stage, "/World/Fur")
-    fur.CreateTypeAttr(UsdGeom.Tokens.cubic)
-    fur.CreateBasisAttr(UsdGeom.Tokens.catmullRom)
-    fur.CreateWrapAttr(UsdGeom.Tokens.pinned)
+    make_smooth(fur)
     fur.CreateCurveVertexCountsAttr([POINTS] * HAIRS)
     fur.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(np.concatenate(points).astype(np.float32)))
     fur.CreateWidthsAttr([1e-4])
