@@ -18,9 +18,9 @@ from plait.solver.step import Simulation
 
 # Of the capstan: friction and angle wound [rad].
 WOUND = (0.3, np.pi)
-PULLED, SLIDING = 16, 8  # frames; the strand slides all along in the last of them
-FALLEN = 8  # frames; the bundles meet in the fifth
-PAIRS, SPEEDS, CROSSED = 2, (5.0, 20.0), 4  # [m/s]; times looked at, a third of a frame apart
+PULLED, SLIDING = 10, 8  # frames; the strand slides all along in the last of them
+FALLEN = 6  # frames; the bundles meet in the third
+PAIRS, SPEEDS, CROSSED = 2, (5.0, 20.0), 3  # [m/s]; times looked at, a third of a frame apart
 LOOK = FRAME / 3.0
 
 
