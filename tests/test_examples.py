@@ -132,6 +132,8 @@ def test_hair_on_a_ball_that_overlaps_or_passes_through_fails_its_check():
     for broken in ({"missed": 1}, {"strain": 0.1}, {"volume": 0.9}, {"points": inside}):
         with pytest.raises(AssertionError):
             example.check(size, {"implicit": example.replace(held, **broken), "none": without})
+    with pytest.raises(AssertionError):
+        example.check(size, {"implicit": held, "none": example.replace(without, missed=size.hairs // 2)})
 
 
 def test_hair_that_goes_stiffly_with_the_head_fails_its_check():

@@ -126,10 +126,19 @@ def kept(points: np.ndarray, radius: float) -> float:
     return float(np.concatenate(shares).mean())
 
 
+def in_the_way(size: Size) -> float:
+    """How many hairs grow where another lies that lies down on the ball.
+
+    Hairs a thickness apart are clear of each other: it takes a strip two thicknesses wide, and as long as it is.
+    """
+    return size.hairs * 4.0 * size.radius * LENGTH / (4.0 * np.pi * RADIUS**2)
+
+
 def check(size: Size, results: dict[str, Result]) -> None:
     """What must be seen; AssertionError if it is not."""
     with_contact, without = results["implicit"], results["none"]
-    assert without.missed > size.hairs // 2
+    # Without contact hairs go through those that are in their way. Of two hairs one is in the other's.
+    assert without.missed > 0.5 * size.hairs * in_the_way(size)
     assert with_contact.missed == 0
     # Hairs in contact may be a tenth nearer than they are thick, where two discs lose 2 % each to each other.
     assert with_contact.volume > 0.98 and with_contact.volume > without.volume
