@@ -106,6 +106,11 @@ def _quaternion(degrees: float, axis: tuple[int, int, int]) -> Gf.Quatf:
     return Gf.Quatf(float(np.round(np.cos(half), 7)), Gf.Vec3f(*vector))
 
 
+def fans(faces: list[list[int]]) -> np.ndarray:
+    """(n, 3) int32: triangles of faces, round the first corner of each."""
+    return np.array([[face[0], *face[k : k + 2]] for face in faces for k in range(1, len(face) - 1)], np.int32)
+
+
 def capsule(radius: float, height: float, around: int, rings: int) -> tuple[np.ndarray, list[list[int]]]:
     """((n, 3) points, faces counter-clockwise from outside) of a capsule that stands on the origin along Y.
 

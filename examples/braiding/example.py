@@ -17,6 +17,7 @@ import numpy as np
 from plait.assets.stages import define_curves, new_stage
 from plait.assets.strands import FRAMES_PER_SECOND, play
 from plait.pipeline.benchmarks.scenes import Fibre, FormulaMotion, rods, translation
+from plait.pipeline.benchmarks.strand_scenes import bundle_places
 from plait.pipeline.preview import render_still
 from plait.solver.scene import Attachment, Scene, Surface
 
@@ -83,19 +84,11 @@ def led(size: Size, time: float) -> np.ndarray:
     return np.stack([WIDTH * np.sin(phase), np.full(3, RISE * part), DEPTH * np.sin(2.0 * phase)], axis=1)
 
 
-def places(count: int, apart: float) -> np.ndarray:
-    """(count, 2) [m]: a bundle's section, packed hexagonally."""
-    reach = np.arange(-count, count + 1)
-    column, row = (one.ravel() for one in np.meshgrid(reach, reach))
-    packed = apart * np.stack([column + 0.5 * row, np.sqrt(0.75) * row], axis=1)
-    return packed[np.argsort(np.linalg.norm(packed, axis=1), kind="stable")[:count]]
-
-
 def scene(size: Size) -> Scene:
     """The bundles hang straight, their tops clamped; a clamp of its own draws the ends of each along."""
     # Spun threads rather than solid hair: they bend a hundred times as easily.
     fibre = Fibre(size.radius, density=1000.0, youngs_modulus=1e8, damping=5.0)
-    around = places(size.hairs, 1.2 * 2.0 * size.radius)
+    around = bundle_places(size.hairs, 1.2 * 2.0 * size.radius)
     around = np.stack([around[:, 0], np.zeros(size.hairs), around[:, 1]], axis=1)
     along = np.linspace(0.0, 1.0, size.segments + 1)[:, None]
     shapes, clamps = [], []

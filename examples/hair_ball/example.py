@@ -14,7 +14,7 @@ import numpy as np
 from pxr import Gf
 from scipy.spatial import cKDTree
 
-from plait.assets.small_scene import capsule
+from plait.assets.small_scene import capsule, fans
 from plait.assets.stages import add_camera, define_curves, define_mesh, make_smooth, new_stage
 from plait.assets.strands import FRAMES_PER_SECOND, play
 from plait.pipeline.benchmarks.scenes import Fibre, FormulaMotion, rods
@@ -80,8 +80,7 @@ def directions(count: int) -> np.ndarray:
 
 def ball() -> tuple[np.ndarray, np.ndarray]:
     points, faces = capsule(RADIUS, 2.0 * RADIUS, around=32, rings=23)
-    triangles = [[face[0], *face[k : k + 2]] for face in faces for k in range(1, len(face) - 1)]
-    return points - [0.0, RADIUS, 0.0], np.array(triangles, np.int32)
+    return points - [0.0, RADIUS, 0.0], fans(faces)
 
 
 def scene(size: Size) -> Scene:

@@ -15,6 +15,7 @@ import numpy as np
 from plait.assets.stages import define_curves, new_stage
 from plait.assets.strands import FRAMES_PER_SECOND, Played, play
 from plait.pipeline.benchmarks.scenes import Fibre, rods
+from plait.pipeline.benchmarks.strand_scenes import bundle_places
 from plait.pipeline.preview import render_still
 from plait.solver.scene import Scene
 
@@ -38,14 +39,6 @@ class Size:
 SIZES = {"small": Size(16, 24, 8), "default": Size(90, 60, 36), "full": Size(270, 175, 100)}
 
 
-def places(count: int) -> np.ndarray:
-    """(count, 2) [m]: a bundle's section, packed hexagonally a tenth looser than strands can be."""
-    reach = np.arange(-count, count + 1)
-    column, row = (one.ravel() for one in np.meshgrid(reach, reach))
-    packed = 1.1 * (2.0 * HAIR.radius + THICKNESS) * np.stack([column + 0.5 * row, np.sqrt(0.75) * row], axis=1)
-    return packed[np.argsort(np.linalg.norm(packed, axis=1), kind="stable")[:count]]
-
-
 def scene(size: Size) -> Scene:
     """The lower bundle, along x, is clamped at one end and drawn tight at the other by ten times its weight.
 
@@ -55,7 +48,9 @@ def scene(size: Size) -> Scene:
     # Hair is never quite parallel: ends are off by up to a third of the play between neighbours.
     random = np.random.default_rng(1).uniform(-3e-5, 3e-5, (2, count, 2, 2))
     part = np.linspace(0.0, 1.0, size.segments + 1)[:, None]
-    across = places(count)[:, None] + (1.0 - part) * random[..., :1, :] + part * random[..., 1:, :]
+    # A section packed hexagonally, a tenth looser than strands can be.
+    places = bundle_places(count, 1.1 * (2.0 * HAIR.radius + THICKNESS))
+    across = places[:, None] + (1.0 - part) * random[..., :1, :] + part * random[..., 1:, :]
     lower = [np.column_stack([along, one]) for one in across[0]]
     upper = [np.column_stack([one[:, 1], DROP + one[:, 0], along]) for one in across[1]]
     weight = 9.81 * HAIR.density * HAIR.area * LENGTH
