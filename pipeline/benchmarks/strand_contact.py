@@ -9,11 +9,10 @@ import numpy as np
 
 from plait.pipeline.benchmarks import strand_scenes
 from plait.pipeline.benchmarks.case import Case, Hardware, Known, Ladder, Outcome, Trial, Variant
-from plait.pipeline.benchmarks.rods import FRAME, refined
+from plait.pipeline.benchmarks.rods import FRAME, refined, simulation_of
 from plait.pipeline.benchmarks.strand_scenes import CAPSTAN_LOAD
-from plait.solver.build import build
 from plait.solver.scene import Scene
-from plait.solver.settings import Settings, StrandContactSettings, StrandSettings
+from plait.solver.settings import StrandContactSettings
 from plait.solver.step import Simulation
 
 # Of the capstan: friction and angle wound [rad].
@@ -25,14 +24,7 @@ LOOK = FRAME / 3.0
 
 
 def _simulation(scene: Scene, variant: Variant, hardware: Hardware) -> Simulation:
-    strands = StrandSettings(
-        integrator=variant.integrator, tolerance=variant.tolerance, precision=variant.precision
-    )
-    contact = StrandContactSettings(method="implicit")
-    return build(
-        scene,
-        Settings(device=hardware.device, threads=hardware.threads, strands=strands, strand_contact=contact),
-    )
+    return simulation_of(scene, variant, hardware, strand_contact=StrandContactSettings(method="implicit"))
 
 
 def _trial(
