@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdSkel, Vt
 
+from plait.assets.stages import make_smooth
+
 FOLDER = Path(__file__).parent / "small"
 SHOT, REFERENCE = "shot.usda", "reference.usdc"
 FRAMES, RATE = 24, 24.0
@@ -104,6 +106,11 @@ def _quaternion(degrees: float, axis: tuple[int, int, int]) -> Gf.Quatf:
     return Gf.Quatf(float(np.round(np.cos(half), 7)), Gf.Vec3f(*vector))
 
 
+def fans(faces: list[list[int]]) -> np.ndarray:
+    """(n, 3) int32: triangles of faces, round the first corner of each."""
+    return np.array([[face[0], *face[k : k + 2]] for face in faces for k in range(1, len(face) - 1)], np.int32)
+
+
 def capsule(radius: float, height: float, around: int, rings: int) -> tuple[np.ndarray, list[list[int]]]:
     """((n, 3) points, faces counter-clockwise from outside) of a capsule that stands on the origin along Y.
 
@@ -161,9 +168,7 @@ def _strands(stage: Usd.Stage, points: np.ndarray, faces: list[list[int]]) -> No
     places = [(0.25 + 0.04 * (k % 7), 0.70 - 0.05 * (k % 5)) for k in range(STRANDS)]
     drawn = np.concatenate([_drawn(points[faces[f]], *uv) for f, uv in zip(prims, places, strict=True)])
     curves = UsdGeom.BasisCurves.Define(stage, "/World/Hair")
-    curves.CreateTypeAttr(UsdGeom.Tokens.cubic)
-    curves.CreateBasisAttr(UsdGeom.Tokens.catmullRom)
-    curves.CreateWrapAttr(UsdGeom.Tokens.pinned)
+    make_smooth(curves)
     curves.CreateCurveVertexCountsAttr([POINTS] * STRANDS)
     curves.CreatePointsAttr(_vectors(drawn))
     curves.CreateWidthsAttr([0.1])

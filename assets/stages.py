@@ -9,11 +9,15 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 
-def new_stage(path: Path) -> Usd.Stage:
-    """In metres, Y up."""
+def new_stage(path: Path, frames: tuple[int, int] | None = None, rate: float = 24.0) -> Usd.Stage:
+    """In metres, Y up.  frames: the first and the last, `rate` a second; None: nothing moves."""
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    if frames is not None:
+        stage.SetTimeCodesPerSecond(rate)
+        stage.SetStartTimeCode(frames[0])
+        stage.SetEndTimeCode(frames[1])
     return stage
 
 
@@ -28,6 +32,35 @@ def define_mesh(
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDisplayColorAttr([Gf.Vec3f(*colour)])
     return mesh
+
+
+def define_curves(
+    stage: Usd.Stage, path: str, frames: np.ndarray, width: float, colour: np.ndarray | Iterable[float]
+) -> UsdGeom.BasisCurves:
+    """Polygons, from time code 0 on.
+
+    frames: (frame_count, curve_count, point_count, 3) [stage units].  width: [stage units] they are drawn with.
+    colour: linear RGB of all, (3,), or of each, (curve_count, 3).
+    """
+    curves = UsdGeom.BasisCurves.Define(stage, path)
+    curves.CreateTypeAttr(UsdGeom.Tokens.linear)
+    curves.CreateCurveVertexCountsAttr([frames.shape[2]] * frames.shape[1])
+    curves.CreateWidthsAttr([width])
+    curves.SetWidthsInterpolation(UsdGeom.Tokens.constant)
+    colours = np.array(colour, dtype=np.float32)
+    curves.CreateDisplayColorAttr(Vt.Vec3fArray.FromNumpy(colours.reshape(-1, 3)))
+    one = colours.ndim == 1
+    curves.GetDisplayColorPrimvar().SetInterpolation(UsdGeom.Tokens.constant if one else UsdGeom.Tokens.uniform)
+    for frame, points in enumerate(frames):
+        curves.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(points.reshape(-1, 3).astype(np.float32)), frame)
+    return curves
+
+
+def make_smooth(curves: UsdGeom.BasisCurves) -> None:
+    """Drawn as Catmull-Rom splines through their points."""
+    curves.CreateTypeAttr(UsdGeom.Tokens.cubic)
+    curves.CreateBasisAttr(UsdGeom.Tokens.catmullRom)
+    curves.CreateWrapAttr(UsdGeom.Tokens.pinned)
 
 
 def add_camera(stage: Usd.Stage, path: str, place: Iterable[float], down: float) -> UsdGeom.Camera:

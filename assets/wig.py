@@ -19,6 +19,7 @@ from plait.assets.stages import (
     author_parameters,
     author_roots,
     frame_codes,
+    make_smooth,
     pose_points,
     read_points,
     read_triangles,
@@ -27,6 +28,7 @@ from plait.assets.walk import Choreography
 
 BODY, HAIR = generate.WORLD.AppendChild("Mannequin"), generate.WORLD.AppendChild("Hair")
 CAMERA = generate.WORLD.AppendChild("Camera")
+SAMPLES_PER_FRAME = 2  # of what the skeleton does
 DRAWN = 1.5  # widths of `Wig.width` that strands are drawn with: locks are soft
 THICKNESS = 0.025  # [cm] of a strand's mechanics: it stands for a lock of hair, which is as wide as `Wig.width`
 DAMPING = 6.0  # [1/s] air, and the hair within a lock
@@ -56,6 +58,24 @@ class Wig:
             wave=0.0,
             distance=lambda points: mannequin.body_distance(points, mannequin.AVERAGE.fat),
         )
+
+
+def write(
+    path: Path,
+    wig: Wig,
+    choreography: Choreography,
+    frames: tuple[float, float],
+    look_at: np.ndarray,
+    offset: np.ndarray,
+) -> None:
+    """A shot.  frames: the first and the last.  look_at, offset: of the camera, see `author_camera`."""
+    codes = np.arange(frames[0], frames[1] + 1e-6, 1.0 / SAMPLES_PER_FRAME)
+
+    def author_all(stage: Usd.Stage) -> None:
+        author(stage, wig, codes, choreography)
+        author_camera(stage, choreography, codes, look_at, offset)
+
+    generate.write(path, author_all, frames=frames)
 
 
 def author(stage: Usd.Stage, wig: Wig, codes: np.ndarray, choreography: Choreography) -> None:
@@ -108,9 +128,7 @@ def spread(strands: np.ndarray, wig: Wig) -> np.ndarray:
 
 def author_hair(stage: Usd.Stage, wig: Wig, hair: groom.Groom) -> None:
     curves = UsdGeom.BasisCurves.Define(stage, HAIR)
-    curves.CreateTypeAttr(UsdGeom.Tokens.cubic)
-    curves.CreateBasisAttr(UsdGeom.Tokens.catmullRom)
-    curves.CreateWrapAttr(UsdGeom.Tokens.pinned)
+    make_smooth(curves)
     curves.CreateCurveVertexCountsAttr([wig.segments + 1] * wig.strands)
     curves.CreatePointsAttr(generate.vectors(hair.points))
     curves.CreateWidthsAttr([DRAWN * wig.width])

@@ -93,7 +93,7 @@ def test_a_braid_left_loose_or_passed_through_fails_its_check():
 def test_a_tube_that_one_strand_passes_through_fails_its_check():
     example = load(next(folder for folder in EXAMPLES if folder.name == "hair_tubes"))
     points = {"upper": example.np.zeros((2, 4, 9, 3)), "lower": example.np.zeros((2, 4, 9, 3))}
-    without = example.Result(points, missed=16, strain=0.0, seconds=0.0)
+    without = example.Played(points, missed=16, strain=0.0, seconds=0.0)
     example.check({"none": without, "implicit": example.replace(without, missed=0)})
     for broken in ({"missed": 1}, {"missed": 0, "strain": 0.1}):
         with pytest.raises(AssertionError):
@@ -132,6 +132,8 @@ def test_hair_on_a_ball_that_overlaps_or_passes_through_fails_its_check():
     for broken in ({"missed": 1}, {"strain": 0.1}, {"volume": 0.9}, {"points": inside}):
         with pytest.raises(AssertionError):
             example.check(size, {"implicit": example.replace(held, **broken), "none": without})
+    with pytest.raises(AssertionError):
+        example.check(size, {"implicit": held, "none": example.replace(without, missed=size.hairs // 2)})
 
 
 def test_hair_that_goes_stiffly_with_the_head_fails_its_check():

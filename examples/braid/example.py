@@ -11,9 +11,8 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdGeom, Vt
 
-from plait.assets.stages import new_stage
+from plait.assets.stages import define_curves, new_stage
 from plait.pipeline.preview import render_still
 from plait.solver.build import build
 from plait.solver.scene import RootBinding, Scene, Strands, Surface
@@ -148,26 +147,11 @@ def check(result: Result) -> None:
 
 def write(result: Result, path: Path) -> None:
     """All frames as a USD stage."""
-    stage = new_stage(path)
-    stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
-    stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(len(result.points) - 1)
-    for cord, colour in enumerate(COLOURS):
-        _curves(stage, f"/loose{cord}", colour, result.points[:1, cord] - [BESIDE, 0.0, 0.0])
-        _curves(stage, f"/braid{cord}", colour, result.points[:, cord])
+    stage = new_stage(path, (0, len(result.points) - 1), FRAMES_PER_SECOND)
+    loose = result.points[:1] - [BESIDE, 0.0, 0.0]
+    define_curves(stage, "/loose", loose, 2.0 * RADIUS, COLOURS)
+    define_curves(stage, "/braid", result.points, 2.0 * RADIUS, COLOURS)
     stage.Save()
-
-
-def _curves(stage: Usd.Stage, path: str, colour: tuple[float, float, float], frames: np.ndarray) -> None:
-    """A cord, (frame_count, node_count, 3) [m]."""
-    curves = UsdGeom.BasisCurves.Define(stage, path)
-    curves.CreateTypeAttr(UsdGeom.Tokens.linear)
-    curves.CreateCurveVertexCountsAttr([frames.shape[1]])
-    curves.CreateWidthsAttr([2.0 * RADIUS])
-    curves.SetWidthsInterpolation(UsdGeom.Tokens.constant)
-    curves.CreateDisplayColorAttr([colour])
-    for frame, points in enumerate(frames):
-        curves.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)), frame)
 
 
 def main(folder: Path, draw: bool = True, size: str = "default") -> None:

@@ -13,18 +13,14 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-import warp as wp
-from pxr import Usd, UsdGeom, Vt
 
-from plait.assets.stages import new_stage
+from plait.assets.stages import define_curves, new_stage
+from plait.assets.strands import FRAMES_PER_SECOND, play
 from plait.pipeline.benchmarks.scenes import Fibre, FormulaMotion, rods, translation
+from plait.pipeline.benchmarks.strand_scenes import bundle_places
 from plait.pipeline.preview import render_still
-from plait.solver.build import build
 from plait.solver.scene import Attachment, Scene, Surface
-from plait.solver.settings import Settings, StrandContactSettings
-from plait.solver.strand_contact.missed import MissedCollisions
 
-FRAMES_PER_SECOND, SUBSTEPS = 24, 8
 LENGTH = 0.3  # [m] of the hair
 PERIODS = 2  # of the braid
 HOLD, AFTER = 0.25, 0.5  # [s] that the ends are held when it is made, and when it is not any more
@@ -88,19 +84,11 @@ def led(size: Size, time: float) -> np.ndarray:
     return np.stack([WIDTH * np.sin(phase), np.full(3, RISE * part), DEPTH * np.sin(2.0 * phase)], axis=1)
 
 
-def places(count: int, apart: float) -> np.ndarray:
-    """(count, 2) [m]: a bundle's section, packed hexagonally."""
-    reach = np.arange(-count, count + 1)
-    column, row = (one.ravel() for one in np.meshgrid(reach, reach))
-    packed = apart * np.stack([column + 0.5 * row, np.sqrt(0.75) * row], axis=1)
-    return packed[np.argsort(np.linalg.norm(packed, axis=1), kind="stable")[:count]]
-
-
 def scene(size: Size) -> Scene:
     """The bundles hang straight, their tops clamped; a clamp of its own draws the ends of each along."""
     # Spun threads rather than solid hair: they bend a hundred times as easily.
     fibre = Fibre(size.radius, density=1000.0, youngs_modulus=1e8, damping=5.0)
-    around = places(size.hairs, 1.2 * 2.0 * size.radius)
+    around = bundle_places(size.hairs, 1.2 * 2.0 * size.radius)
     around = np.stack([around[:, 0], np.zeros(size.hairs), around[:, 1]], axis=1)
     along = np.linspace(0.0, 1.0, size.segments + 1)[:, None]
     shapes, clamps = [], []
@@ -130,22 +118,9 @@ def _held(name: str, points: np.ndarray, surface: int) -> Attachment:
 
 
 def run(size: Size) -> Result:
-    contact = StrandContactSettings(method="implicit")
-    simulation = build(scene(size), Settings(substeps=1, strand_contact=contact))
-    stage = simulation.model.parts["strands"]
-    judge = MissedCollisions(simulation.model.launcher, stage.layout)
-    position = simulation.state.arrays["strands/position"]
-    before = wp.clone(position)
-    points, missed, strain = [stage.points(0)], 0, 0.0
-    for substep in range(1, size.frames * SUBSTEPS + 1):
-        metrics = simulation.advance_frame(substep / (FRAMES_PER_SECOND * SUBSTEPS))
-        missed += judge.count(before, position)
-        wp.copy(before, position)
-        strain = max(strain, metrics["strands"]["strain_max"])
-        if substep % SUBSTEPS == 0:
-            points.append(stage.points(0))
-    simulation.close()
-    return Result(np.array(points).reshape(len(points), 3, size.hairs, -1, 3), missed, strain)
+    played = play(scene(size), "implicit", size.frames)
+    points = played.points["hair"]
+    return Result(points.reshape(len(points), 3, size.hairs, -1, 3), played.missed, played.strain)
 
 
 def braid(paths: np.ndarray) -> tuple[int, tuple[int, ...]]:
@@ -192,29 +167,13 @@ def check(size: Size, result: Result) -> None:
 
 def write(size: Size, result: Result, path: Path) -> None:
     """All frames as a USD stage; beside them, how it hung at first, and how it was when it was made."""
-    stage = new_stage(path)
-    stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
-    stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(len(result.points) - 1)
+    stage = new_stage(path, (0, len(result.points) - 1), FRAMES_PER_SECOND)
     shown = {"before": result.points[:1], "made": result.points[size.made : size.made + 1], "hair": result.points}
     for place, (name, points) in enumerate(shown.items()):
         for k, colour in enumerate(COLOURS):
-            _curves(stage, f"/{name}{k}", colour, size.radius, points[:, k] + [BESIDE * place, 0.0, 0.0])
+            moved = points[:, k] + [BESIDE * place, 0.0, 0.0]
+            define_curves(stage, f"/{name}{k}", moved, 2.0 * size.radius, colour)
     stage.Save()
-
-
-def _curves(
-    stage: Usd.Stage, path: str, colour: tuple[float, float, float], radius: float, frames: np.ndarray
-) -> None:
-    """Hair, (frame_count, hairs, node_count, 3) [m]; one frame stands for all."""
-    curves = UsdGeom.BasisCurves.Define(stage, path)
-    curves.CreateTypeAttr(UsdGeom.Tokens.linear)
-    curves.CreateCurveVertexCountsAttr([frames.shape[2]] * frames.shape[1])
-    curves.CreateWidthsAttr([2.0 * radius])
-    curves.SetWidthsInterpolation(UsdGeom.Tokens.constant)
-    curves.CreateDisplayColorAttr([colour])
-    for frame, points in enumerate(frames):
-        curves.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(points.reshape(-1, 3).astype(np.float32)), frame)
 
 
 def main(folder: Path, draw: bool = True, size: str = "default") -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import runpy
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,28 +19,19 @@ from plait.pipeline.preview import render
 HERE = Path(__file__).parent
 SHOT = runpy.run_path(str(HERE / "shot.py"))
 
-
-@dataclass(frozen=True)
-class Size:
-    """frames: simulated.  wig: its hair."""
-
-    frames: int
-    wig: wig.Wig
-
-
 LENGTH = (26.0, 10.0)  # [cm] of the lowest strands, and what the highest have more
-SIZES = {
-    "small": Size(32, wig.Wig(60, 12, 0.4, LENGTH)),
-    "default": Size(60, wig.Wig(400, 18, 0.2, LENGTH)),
-    "full": Size(72, wig.Wig(10000, 49, 0.07, LENGTH)),
+SIZES = {  # frames simulated, hair
+    "small": (32, wig.Wig(60, 12, 0.4, LENGTH)),
+    "default": (60, wig.Wig(400, 18, 0.2, LENGTH)),
+    "full": (72, wig.Wig(10000, 49, 0.07, LENGTH)),
 }
 
 
-def run(folder: Path, size: Size) -> Path:
+def run(folder: Path, frames: int, hair: wig.Wig) -> Path:
     """Writes the shot into `folder` and simulates it; returns the cache. `plait sim` does just the latter."""
     folder.mkdir(parents=True, exist_ok=True)
     shot, cache = folder / "dancer_shot.usda", folder / "dancer.usda"
-    SHOT["write"](shot, size.frames, size.wig)
+    SHOT["write"](shot, frames, hair)
     driver.simulate(shot, cache, config.load(HERE / "sim.toml", []), overwrite=True)
     return cache
 
@@ -64,11 +54,11 @@ def check(worn: wig.Worn) -> None:
 
 def main(folder: Path, draw: bool = True, size: str = "default") -> None:
     """Runs, checks, draws."""
-    cache = run(folder, SIZES[size])
+    frames, hair = SIZES[size]
+    cache = run(folder, frames, hair)
     check(wig.check(cache))
     if draw:
-        frame = str(min(SIZES[size].frames, 22))
-        render(cache, folder / "dancer.jpg", frames=frame, size="720x560", camera=str(wig.CAMERA))
+        render(cache, folder / "dancer.jpg", frames=str(min(frames, 22)), size="720x560", camera=str(wig.CAMERA))
 
 
 if __name__ == "__main__":

@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd
 
-from plait.assets import generate, mannequin, wig
+from plait.assets import mannequin, wig
 from plait.assets.walk import Choreography, Swing
 
-FIRST, SAMPLES_PER_FRAME = 1.0, 2
+FIRST = 1.0
 SPIN = (0.25, 1.05)  # [s] from the first frame
 LEFT_FOOT_STANDS: tuple[Swing, ...] = ()
 FROM = np.array([75.0, 40.0, 230.0])  # [cm] the camera from what it looks at
@@ -26,11 +25,4 @@ def choreography() -> Choreography:
 
 def write(path: Path, frames: int, hair: wig.Wig) -> None:
     """frames: how long it lasts."""
-    last = FIRST + frames
-    codes = np.arange(FIRST, last + 1e-6, 1.0 / SAMPLES_PER_FRAME)
-
-    def author(stage: Usd.Stage) -> None:
-        wig.author(stage, hair, codes, choreography())
-        wig.author_camera(stage, choreography(), codes, LOOK_AT, FROM)
-
-    generate.write(path, author, frames=(FIRST, last))
+    wig.write(path, hair, choreography(), (FIRST, FIRST + frames), LOOK_AT, FROM)

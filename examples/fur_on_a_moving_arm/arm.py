@@ -8,8 +8,8 @@ import numpy as np
 import trimesh
 from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
-from plait.assets.small_scene import capsule
-from plait.assets.stages import author_roots, define_mesh, new_stage
+from plait.assets.small_scene import capsule, fans
+from plait.assets.stages import author_roots, define_mesh, make_smooth, new_stage
 
 FRAMES, RATE = 60, 30.0
 LENGTH, RADIUS = 0.6, 0.05  # [m] of the arm: a capsule along X, the elbow in its middle
@@ -20,15 +20,12 @@ JOINTS = ("Shoulder", "Shoulder/Elbow")
 
 def write(path: Path) -> None:
     """Writes the shot to `path`."""
-    stage = new_stage(path)
-    stage.SetTimeCodesPerSecond(RATE)
-    stage.SetStartTimeCode(1)
-    stage.SetEndTimeCode(FRAMES)
+    stage = new_stage(path, (1, FRAMES), RATE)
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
     UsdSkel.Root.Define(stage, "/World/Arm")
     points, faces = capsule(RADIUS, LENGTH, around=16, rings=28)
     points = points[:, [1, 2, 0]] - (LENGTH / 2.0, 0.0, 0.0)  # from standing on the origin to lying about it
-    skin = trimesh.Trimesh(points, [t for f in faces for t in _triangles(f)], process=False)
+    skin = trimesh.Trimesh(points, fans(faces), process=False)
     _add_skin(stage, skin, _add_skeleton(stage))
     _add_fur(stage, skin)
     stage.Save()
@@ -38,10 +35,6 @@ def bend(code: float) -> float:
     """[degrees] the elbow's angle: shut within a quarter of a second, open again, then still."""
     seconds = (code - 1.0) / RATE
     return BENT * float(np.sin(np.pi * np.clip(seconds / 0.5, 0.0, 1.0)) ** 2)
-
-
-def _triangles(face: list[int]) -> list[list[int]]:
-    return [face[:3]] if len(face) == 3 else [face[:3], [face[0], *face[2:]]]
 
 
 def _add_skeleton(stage: Usd.Stage) -> UsdSkel.Skeleton:
@@ -83,9 +76,7 @@ def _add_fur(stage: Usd.Stage, skin: trimesh.Trimesh) -> None:
         for root, normal in zip(roots, skin.face_normals[faces], strict=True)
     ]
     fur = UsdGeom.BasisCurves.Define(stage, "/World/Fur")
-    fur.CreateTypeAttr(UsdGeom.Tokens.cubic)
-    fur.CreateBasisAttr(UsdGeom.Tokens.catmullRom)
-    fur.CreateWrapAttr(UsdGeom.Tokens.pinned)
+    make_smooth(fur)
     fur.CreateCurveVertexCountsAttr([POINTS] * HAIRS)
     fur.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(np.concatenate(points).astype(np.float32)))
     fur.CreateWidthsAttr([1e-4])

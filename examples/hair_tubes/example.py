@@ -7,23 +7,18 @@ checks what passes through, and leaves `out/hair_tubes.usdc` with a picture.
 from __future__ import annotations
 
 import sys
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import warp as wp
-from pxr import Usd, UsdGeom, Vt
 
-from plait.assets.stages import new_stage
+from plait.assets.stages import define_curves, new_stage
+from plait.assets.strands import FRAMES_PER_SECOND, Played, play
 from plait.pipeline.benchmarks.scenes import Fibre, rods
+from plait.pipeline.benchmarks.strand_scenes import bundle_places
 from plait.pipeline.preview import render_still
-from plait.solver.build import build
 from plait.solver.scene import Scene
-from plait.solver.settings import Settings, StrandContactSettings
-from plait.solver.strand_contact.missed import MissedCollisions
 
-FRAMES_PER_SECOND, SUBSTEPS = 24, 8
 HAIR = Fibre(radius=0.3e-3, density=1300.0, youngs_modulus=1e8)
 THICKNESS = 0.4e-3  # [m] kept between strands, beside their radii
 LENGTH, DROP = 0.3, 0.05  # [m]
@@ -44,26 +39,6 @@ class Size:
 SIZES = {"small": Size(16, 24, 8), "default": Size(90, 60, 36), "full": Size(270, 175, 100)}
 
 
-@dataclass(frozen=True)
-class Result:
-    """Of one method. points: bundle to (frame_count, strand_count, node_count, 3) [m].
-    missed: pairs of segments that passed through each other, over all substeps.
-    strain: the largest of all frames.  seconds: of computation, a frame."""
-
-    points: dict[str, np.ndarray]
-    missed: int
-    strain: float
-    seconds: float
-
-
-def places(count: int) -> np.ndarray:
-    """(count, 2) [m]: a bundle's section, packed hexagonally a tenth looser than strands can be."""
-    reach = np.arange(-count, count + 1)
-    column, row = (one.ravel() for one in np.meshgrid(reach, reach))
-    packed = 1.1 * (2.0 * HAIR.radius + THICKNESS) * np.stack([column + 0.5 * row, np.sqrt(0.75) * row], axis=1)
-    return packed[np.argsort(np.linalg.norm(packed, axis=1), kind="stable")[:count]]
-
-
 def scene(size: Size) -> Scene:
     """The lower bundle, along x, is clamped at one end and drawn tight at the other by ten times its weight.
 
@@ -73,7 +48,9 @@ def scene(size: Size) -> Scene:
     # Hair is never quite parallel: ends are off by up to a third of the play between neighbours.
     random = np.random.default_rng(1).uniform(-3e-5, 3e-5, (2, count, 2, 2))
     part = np.linspace(0.0, 1.0, size.segments + 1)[:, None]
-    across = places(count)[:, None] + (1.0 - part) * random[..., :1, :] + part * random[..., 1:, :]
+    # A section packed hexagonally, a tenth looser than strands can be.
+    places = bundle_places(count, 1.1 * (2.0 * HAIR.radius + THICKNESS))
+    across = places[:, None] + (1.0 - part) * random[..., :1, :] + part * random[..., 1:, :]
     lower = [np.column_stack([along, one]) for one in across[0]]
     upper = [np.column_stack([one[:, 1], DROP + one[:, 0], along]) for one in across[1]]
     weight = 9.81 * HAIR.density * HAIR.area * LENGTH
@@ -87,32 +64,7 @@ def scene(size: Size) -> Scene:
     return Scene(surfaces=surfaces, strands=tuple(replace(one, thickness=THICKNESS) for one in strands))
 
 
-def run(size: Size, method: str) -> Result:
-    """method: of `StrandContactSettings`."""
-    contact = StrandContactSettings(method=method)
-    simulation = build(scene(size), Settings(substeps=1, strand_contact=contact))
-    stage = simulation.model.parts["strands"]
-    judge = MissedCollisions(simulation.model.launcher, stage.layout)
-    position = simulation.state.arrays["strands/position"]
-    before = wp.clone(position)
-    points, missed, strain, seconds = {"lower": [], "upper": []}, 0, 0.0, 0.0
-    for substep in range(size.frames * SUBSTEPS + 1):
-        if substep:
-            started = time.perf_counter()
-            metrics = simulation.advance_frame(substep / (FRAMES_PER_SECOND * SUBSTEPS))
-            seconds += time.perf_counter() - started
-            missed += judge.count(before, position)
-            wp.copy(before, position)
-            strain = max(strain, metrics["strands"]["strain_max"])
-        if substep % SUBSTEPS == 0:
-            for prim, frames in enumerate(points.values()):
-                frames.append(stage.points(prim).reshape(size.strands // 2, -1, 3))
-    simulation.close()
-    found = {name: np.array(frames) for name, frames in points.items()}
-    return Result(found, missed, strain, seconds / size.frames)
-
-
-def check(results: dict[str, Result]) -> None:
+def check(results: dict[str, Played]) -> None:
     """What must be seen; AssertionError if it is not."""
     count = len(results["none"].points["upper"][0])
     # Without contact every upper strand falls through every lower one; with it none does.
@@ -125,27 +77,14 @@ def check(results: dict[str, Result]) -> None:
     assert middle[:, middle.shape[1] // 2, 1].min() > -0.25 * LENGTH
 
 
-def write(results: dict[str, Result], path: Path) -> None:
+def write(results: dict[str, Played], path: Path) -> None:
     """All frames as a USD stage: the methods side by side."""
-    stage = new_stage(path)
-    stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
-    stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(len(results["none"].points["lower"]) - 1)
+    stage = new_stage(path, (0, len(results["none"].points["lower"]) - 1), FRAMES_PER_SECOND)
     for place, (method, result) in enumerate(results.items()):
         for bundle, frames in result.points.items():
-            _curves(stage, f"/{method}_{bundle}", COLOURS[bundle], frames + np.array([BESIDE * place, 0, 0]))
+            moved = frames + np.array([BESIDE * place, 0.0, 0.0])
+            define_curves(stage, f"/{method}_{bundle}", moved, 2.0 * HAIR.radius + THICKNESS, COLOURS[bundle])
     stage.Save()
-
-
-def _curves(stage: Usd.Stage, path: str, colour: tuple[float, float, float], frames: np.ndarray) -> None:
-    curves = UsdGeom.BasisCurves.Define(stage, path)
-    curves.CreateTypeAttr(UsdGeom.Tokens.linear)
-    curves.CreateCurveVertexCountsAttr([frames.shape[2]] * frames.shape[1])
-    curves.CreateWidthsAttr([2.0 * HAIR.radius + THICKNESS])
-    curves.SetWidthsInterpolation(UsdGeom.Tokens.constant)
-    curves.CreateDisplayColorAttr([colour])
-    for frame, points in enumerate(frames):
-        curves.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(points.reshape(-1, 3).astype(np.float32)), frame)
 
 
 def main(folder: Path, draw: bool = True, size: str = "default") -> None:
@@ -153,7 +92,7 @@ def main(folder: Path, draw: bool = True, size: str = "default") -> None:
     folder.mkdir(parents=True, exist_ok=True)
     results = {}
     for method, name in METHODS.items():
-        results[method] = found = run(SIZES[size], method)
+        results[method] = found = play(scene(SIZES[size]), method, SIZES[size].frames)
         strain = f"largest strain {100.0 * found.strain:.2g} %"
         print(f"{name}: {found.missed} passed through, {strain}, {found.seconds:.2g} s a frame")
     check(results)

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from pxr import Gf, UsdGeom, Vt
+from pxr import Gf, UsdGeom
 
-from plait.assets.stages import new_stage
+from plait.assets.stages import define_curves, new_stage
 from plait.pipeline.preview import render_still
 from plait.solver.build import build
 from plait.solver.scene import KeyedMotion, RootBinding, Scene, Strands, Surface
@@ -92,23 +92,13 @@ def run() -> Result:
 
 def write(result: Result, path: Path) -> None:
     """All frames as a USD stage, for `plait preview` or any USD application."""
-    stage = new_stage(path)
-    stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
-    stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(len(result.points) - 1)
-    ropes = UsdGeom.BasisCurves.Define(stage, "/ropes")
-    ropes.CreateTypeAttr(UsdGeom.Tokens.linear)
-    ropes.CreateCurveVertexCountsAttr([NODES] * ROPES)
-    ropes.CreateWidthsAttr([2.0 * RADIUS])
-    ropes.SetWidthsInterpolation(UsdGeom.Tokens.constant)
-    ropes.CreateDisplayColorAttr([(0.45, 0.29, 0.13)])
+    stage = new_stage(path, (0, len(result.points) - 1), FRAMES_PER_SECOND)
+    define_curves(stage, "/ropes", result.points, 2.0 * RADIUS, (0.45, 0.29, 0.13))
     ball = UsdGeom.Sphere.Define(stage, "/ball")
     ball.CreateRadiusAttr(BALL)
     ball.CreateDisplayColorAttr([(0.5, 0.06, 0.04)])
     place = ball.AddTranslateOp()
-    for frame, (points, centre) in enumerate(zip(result.points, result.centres, strict=True)):
-        flat = points.reshape(-1, 3).astype(np.float32)
-        ropes.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(flat), frame)
+    for frame, centre in enumerate(result.centres):
         place.Set(Gf.Vec3d(*centre.tolist()), frame)
     bar = UsdGeom.Cylinder.Define(stage, "/bar")
     bar.CreateAxisAttr("X")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import runpy
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,27 +18,18 @@ from plait.pipeline.preview import render
 HERE = Path(__file__).parent
 SHOT = runpy.run_path(str(HERE / "shot.py"))
 
-
-@dataclass(frozen=True)
-class Size:
-    """frames: simulated.  wig: its hair."""
-
-    frames: int
-    wig: wig.Wig
-
-
-SIZES = {
-    "small": Size(16, wig.Wig(60, 10, 0.4)),
-    "default": Size(60, wig.Wig(400, 16, 0.2)),
-    "full": Size(72, wig.Wig(20000, 50, 0.05)),
+SIZES = {  # frames simulated, hair
+    "small": (16, wig.Wig(60, 10, 0.4)),
+    "default": (60, wig.Wig(400, 16, 0.2)),
+    "full": (72, wig.Wig(20000, 50, 0.05)),
 }
 
 
-def run(folder: Path, size: Size) -> Path:
+def run(folder: Path, frames: int, hair: wig.Wig) -> Path:
     """Writes the shot into `folder` and simulates it; returns the cache. `plait sim` does just the latter."""
     folder.mkdir(parents=True, exist_ok=True)
     shot, cache = folder / "walking_shot.usda", folder / "walking.usda"
-    SHOT["write"](shot, size.frames, size.wig)
+    SHOT["write"](shot, frames, hair)
     driver.simulate(shot, cache, config.load(HERE / "sim.toml", []), overwrite=True)
     return cache
 
@@ -54,11 +44,11 @@ def check(worn: wig.Worn) -> None:
 
 def main(folder: Path, draw: bool = True, size: str = "default") -> None:
     """Runs, checks, draws."""
-    cache = run(folder, SIZES[size])
+    frames, hair = SIZES[size]
+    cache = run(folder, frames, hair)
     check(wig.check(cache))
     if draw:
-        frame = str(min(SIZES[size].frames, 36))
-        render(cache, folder / "walking.jpg", frames=frame, size="640x640", camera=str(wig.CAMERA))
+        render(cache, folder / "walking.jpg", frames=str(min(frames, 36)), size="640x640", camera=str(wig.CAMERA))
 
 
 if __name__ == "__main__":

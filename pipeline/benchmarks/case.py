@@ -69,6 +69,11 @@ class Outcome(NamedTuple):
     failure: str = ""
 
 
+def unconverged(count: float, what: str) -> str:
+    """`Outcome.failure` where so many of `what` did not converge."""
+    return f"{count:g} {what} did not converge" if count else ""
+
+
 class Trial(NamedTuple):
     """A case made ready: `run` is what is timed, `close` gives back what it held."""
 

@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from plait.pipeline.benchmarks.case import Case, Hardware, Known, Ladder, Outcome, Richardson, Trial, Variant
+from plait.pipeline.benchmarks.case import (
+    Case,
+    Hardware,
+    Known,
+    Ladder,
+    Outcome,
+    Richardson,
+    Trial,
+    Variant,
+    unconverged,
+)
 from plait.pipeline.benchmarks.scenes import HAIR, Fibre, arc, rods, shaking, straight
 from plait.solver.build import build
 from plait.solver.scene import Scene
@@ -18,33 +29,30 @@ COPIES = 8  # equal rods side by side, so that the rods cost more than the launc
 EXACT = 1e-8  # Newton's tolerance where only the discretisation shall show
 
 
-def _simulation(scene: Scene, variant: Variant, hardware: Hardware) -> Simulation:
-    settings = Settings(
-        device=hardware.device,
-        threads=hardware.threads,
-        strands=StrandSettings(
-            integrator=variant.integrator, tolerance=variant.tolerance, precision=variant.precision
-        ),
+def simulation_of(scene: Scene, variant: Variant, hardware: Hardware, **settings: Any) -> Simulation:
+    """settings: what else `Settings` takes."""
+    strands = StrandSettings(
+        integrator=variant.integrator, tolerance=variant.tolerance, precision=variant.precision
     )
-    return build(scene, settings)
+    return build(scene, Settings(device=hardware.device, threads=hardware.threads, strands=strands, **settings))
 
 
 def equilibrium(scene: Scene, variant: Variant, hardware: Hardware) -> Trial:
     """Lets `scene` come to rest and gives the tip of its first rod, (1, 3) [m]."""
-    simulation = _simulation(scene, variant, hardware)
+    simulation = simulation_of(scene, variant, hardware)
 
     def run() -> Outcome:
         iterations = simulation.model.parts["strands"].relax(variant.tolerance)
         stuck = np.count_nonzero(iterations < 0)
         figures = {"iterations": float(np.abs(iterations).mean())}
-        return Outcome(_tip(simulation)[None], figures, _failure("rods", stuck))
+        return Outcome(_tip(simulation)[None], figures, unconverged(stuck, "rods"))
 
     return Trial(run, simulation.close)
 
 
 def trajectory(scene: Scene, variant: Variant, hardware: Hardware, sample_times: np.ndarray) -> Trial:
     """Runs `scene` and gives the tip of its first rod at `sample_times` [s], (sample_count, 3) [m]."""
-    simulation = _simulation(scene, variant, hardware)
+    simulation = simulation_of(scene, variant, hardware)
 
     def run() -> Outcome:
         tips, solved = [], []
@@ -52,7 +60,7 @@ def trajectory(scene: Scene, variant: Variant, hardware: Hardware, sample_times:
             solved.append(simulation.advance_frame(float(time), variant.substeps)["strands"])
             tips.append(_tip(simulation))
         figures = _figures(solved)
-        return Outcome(np.array(tips), figures, _failure("rod-substeps", figures["unconverged"]))
+        return Outcome(np.array(tips), figures, unconverged(figures["unconverged"], "rod-substeps"))
 
     return Trial(run, simulation.close)
 
@@ -60,10 +68,6 @@ def trajectory(scene: Scene, variant: Variant, hardware: Hardware, sample_times:
 def _tip(simulation: Simulation) -> np.ndarray:
     points = simulation.model.parts["strands"].points(0)
     return np.array(points[len(points) // COPIES - 1], dtype=np.float64)
-
-
-def _failure(what: str, unconverged: float) -> str:
-    return f"{unconverged:g} {what} did not converge" if unconverged else ""
 
 
 def _figures(solved: list[dict[str, float]]) -> dict[str, float]:
@@ -188,7 +192,7 @@ def _dynamic_ladders(segments: int, substeps: int) -> tuple[Ladder, ...]:
     """Steps with either integrator, resolutions, both together, tolerances, float32, about one middle variant."""
     middle = Variant(segments, substeps, EXACT, "sdirk2")
     implicit_euler = middle._replace(integrator="backward-euler")
-    steps = tuple(substeps * 2**i // 4 for i in range(5))
+    steps = tuple(substeps * 2**i // 4 for i in range(4))
     together = {"segments": (segments // 2, segments, 2 * segments), "substeps": steps[1:4]}
     return (
         Ladder("time, Euler", refined(implicit_euler, substeps=steps), nominal_order=1.0),
@@ -202,7 +206,7 @@ def _dynamic_ladders(segments: int, substeps: int) -> tuple[Ladder, ...]:
 
 
 def _extrapolated(segments: int, substeps: int) -> Richardson:
-    """From twice the finest rung of `_dynamic_ladders` in space, and as fine as its finest in time."""
+    """To four times these: at least as fine as any rung of `_dynamic_ladders`, and in time finer."""
     finest = Variant(segments, substeps, EXACT, "sdirk2")
     levels = refined(
         finest, segments=(segments, 2 * segments, 4 * segments), substeps=tuple(substeps * i for i in (1, 2, 4))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import statistics
 import time
@@ -12,8 +13,12 @@ import numpy as np
 
 from plait.pipeline.benchmarks.case import ORDER_MARGIN, Case, Hardware, Known, Outcome, Richardson, Variant
 
-REPEATS = 5
+# Measured runs of a variant: the most, and the fewest, where these take longer than that [s], prepared and all.
+REPEATS, FEWEST, LONG = 5, 3, 0.2
 LEVELS = (1e-2, 1e-3)  # errors whose time to reach is reported
+
+# Of one run: its outcome, or None; its seconds; why it failed, or ''.
+Attempt = tuple[Outcome | None, float, str]
 
 
 @dataclass(frozen=True)
@@ -68,22 +73,23 @@ def measure(
     case: Case,
     hardware: Hardware,
     *,
-    repeats: int = REPEATS,
     clock: Callable[[], float] = time.perf_counter,
     step_done: Callable[[str], None] = lambda text: None,
 ) -> Result:
-    """Runs every rung of every ladder of `case`, each once to warm up and `repeats` times measured.
+    """Runs every rung of every ladder of `case`, each once to warm up and `FEWEST` to `REPEATS` times measured.
 
     step_done: told after each variant, with what it was; called `step_count(case)` times.
     """
-    reference, reference_order, failures = _reference(case, hardware, step_done)
+    # A variant that the reference was made with is warmed up.
+    first = functools.cache(lambda variant: _attempt(case, variant, hardware, clock))
+    reference, reference_order, failures = _reference(case, first, step_done)
     timings: dict[Variant, tuple[Row, np.ndarray | None]] = {}
     rows, orders = [], []
     for ladder in case.ladders:
         values = []
         for variant in ladder.variants:
             if variant not in timings:
-                timings[variant] = _time(case, variant, hardware, repeats, clock)
+                timings[variant] = _time(case, variant, hardware, clock, first(variant))
                 step_done(f"{case.name} {ladder.name}")
             row, value = timings[variant]
             error = None if value is None or reference is None else case.error(value, reference)
@@ -103,14 +109,14 @@ def step_count(case: Case) -> int:
 
 
 def _reference(
-    case: Case, hardware: Hardware, step_done: Callable[[str], None]
+    case: Case, first: Callable[[Variant], Attempt], step_done: Callable[[str], None]
 ) -> tuple[np.ndarray | None, float | None, tuple[str, ...]]:
     """The reference value, the order observed on it, and why it cannot be relied on, if so."""
     if isinstance(case.reference, Known):
         return np.asarray(case.reference.value, float), None, ()
     values = []
     for variant in case.reference.levels:
-        outcome, _, failure = _attempt(case, variant, hardware, time.perf_counter)
+        outcome, _, failure = first(variant)
         step_done(f"{case.name} reference")
         if failure:
             return None, None, (f"no reference: {failure} ({variant.label})",)
@@ -124,27 +130,27 @@ def _reference(
 
 
 def _time(
-    case: Case, variant: Variant, hardware: Hardware, repeats: int, clock: Callable[[], float]
+    case: Case, variant: Variant, hardware: Hardware, clock: Callable[[], float], first: Attempt
 ) -> tuple[Row, np.ndarray | None]:
-    outcome, first, failure = _attempt(case, variant, hardware, clock)
-    runs = []
-    while outcome is not None and len(runs) < repeats:
+    """The measured runs, after the `first` one."""
+    outcome, first_seconds, failure = first
+    runs, started = [], clock()
+    while outcome is not None and _too_few(len(runs), clock() - started):
         outcome, seconds, failure = _attempt(case, variant, hardware, clock)
         runs.append(seconds)
     if outcome is None:
         return Row("", variant, failure=failure), None
     seconds = statistics.median(runs)
-    beyond = max(0.0, first - seconds)
+    beyond = max(0.0, first_seconds - seconds)
     return Row("", variant, None, seconds, tuple(runs), beyond, outcome.figures, failure), outcome.value
 
 
-def _attempt(
-    case: Case, variant: Variant, hardware: Hardware, clock: Callable[[], float]
-) -> tuple[Outcome | None, float, str]:
-    """One run: its outcome, or None and why it failed; and its seconds.
+def _too_few(runs: int, seconds: float) -> bool:
+    return runs < FEWEST or (runs < REPEATS and seconds < LONG)
 
-    Whatever goes wrong is a result here, to be reported in a row, so every exception is caught.
-    """
+
+def _attempt(case: Case, variant: Variant, hardware: Hardware, clock: Callable[[], float]) -> Attempt:
+    """One run. Whatever goes wrong is a result here, to be reported in a row, so every exception is caught."""
     try:
         trial = case.prepare(variant, hardware)
         try:

@@ -9,30 +9,22 @@ import numpy as np
 
 from plait.pipeline.benchmarks import strand_scenes
 from plait.pipeline.benchmarks.case import Case, Hardware, Known, Ladder, Outcome, Trial, Variant
-from plait.pipeline.benchmarks.rods import FRAME, refined
+from plait.pipeline.benchmarks.rods import FRAME, refined, simulation_of
 from plait.pipeline.benchmarks.strand_scenes import CAPSTAN_LOAD
-from plait.solver.build import build
 from plait.solver.scene import Scene
-from plait.solver.settings import Settings, StrandContactSettings, StrandSettings
+from plait.solver.settings import StrandContactSettings
 from plait.solver.step import Simulation
 
 # Of the capstan: friction and angle wound [rad].
 WOUND = (0.3, np.pi)
-PULLED, SLIDING = 16, 8  # frames; the strand slides all along in the last of them
-FALLEN = 8  # frames; the bundles meet in the fifth
-PAIRS, SPEEDS, CROSSED = 2, (5.0, 20.0), 4  # [m/s]; times looked at, a third of a frame apart
+PULLED, SLIDING = 10, 8  # frames; the strand slides all along in the last of them
+FALLEN = 6  # frames; the bundles meet in the third
+PAIRS, SPEEDS, CROSSED = 2, (5.0, 20.0), 3  # [m/s]; times looked at, a third of a frame apart
 LOOK = FRAME / 3.0
 
 
 def _simulation(scene: Scene, variant: Variant, hardware: Hardware) -> Simulation:
-    strands = StrandSettings(
-        integrator=variant.integrator, tolerance=variant.tolerance, precision=variant.precision
-    )
-    contact = StrandContactSettings(method="implicit")
-    return build(
-        scene,
-        Settings(device=hardware.device, threads=hardware.threads, strands=strands, strand_contact=contact),
-    )
+    return simulation_of(scene, variant, hardware, strand_contact=StrandContactSettings(method="implicit"))
 
 
 def _trial(

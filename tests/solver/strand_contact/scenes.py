@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +19,8 @@ from plait.pipeline.benchmarks.strand_scenes import (
     tip_loads,
 )
 from plait.solver.build import build
-from plait.solver.scene import Attachment, Scene, StaticMotion, Strands, Surface
-from plait.solver.settings import Settings
+from plait.solver.scene import Attachment, Motion, Scene, StaticMotion, Strands, Surface
+from plait.solver.settings import Settings, StrandContactSettings
 from plait.solver.step import Simulation
 
 FRAMES_PER_SECOND = 24
@@ -41,9 +42,17 @@ class Case:
     substeps: int = 8
     velocity: np.ndarray | None = None
 
-    def start(self, settings: Settings | None = None) -> Simulation:
-        """A simulation of it at time 0."""
-        simulation = build(self.scene, settings or Settings(threads=1, substeps=self.substeps))
+    def start(
+        self, method: str = "implicit", *, substeps: int | None = None, threads: int = 1, **settings: Any
+    ) -> Simulation:
+        """A simulation of it at time 0.
+
+        method: of `StrandContactSettings`.  substeps: None: its own.  settings: what else `Settings` takes.
+        """
+        contact = StrandContactSettings(method=method)
+        count = substeps or self.substeps
+        chosen = Settings(threads=threads, substeps=count, strand_contact=contact, **settings)
+        simulation = build(self.scene, chosen)
         if self.velocity is not None:
             set_velocity(simulation, self.velocity)
         return simulation
@@ -270,17 +279,17 @@ def unbraid(plaiting: Plaiting = Plaiting(), segments: int = 80) -> Case:
     surfaces, attachments = [surface], []
     for k, shape in enumerate(shapes):
         motion = FormulaMotion(lambda time, k=k: translation(plaiting.end(k, time) - plaiting.end(k, 0.0)))
-        surfaces.append(_clamp(f"end{k}", shape[-1], motion))
+        surfaces.append(clamp(f"end{k}", shape[-1], motion))
         attachments.append(hold(strands, 0, (k + 1) * (segments + 1) - 1, k + 1))
     scene = Scene(tuple(surfaces), (strands,), np.zeros(3), attachments=tuple(attachments))
     seconds = 2.0 * plaiting.make + plaiting.hold + 0.5
     return Case(scene, frames=round(seconds * FRAMES_PER_SECOND))
 
 
-def _clamp(name: str, place: np.ndarray, motion: FormulaMotion | StaticMotion) -> Surface:
+def clamp(name: str, place: np.ndarray, motion: Motion | None = None) -> Surface:
     """A triangle about `place` that does not collide."""
     corners = place + 1e-3 * np.array([[1.0, 0.1, 0.0], [-0.5, -0.2, 0.9], [-0.5, 0.1, -0.9]])
-    return Surface(name, corners, np.array([[0, 1, 2]], np.int32), motion=motion, collides=False)
+    return Surface(name, corners, np.array([[0, 1, 2]], np.int32), motion=motion or StaticMotion(), collides=False)
 
 
 def hold(strands: Strands, prim: int, point: int, surface: int) -> Attachment:

@@ -12,12 +12,13 @@ import warp as wp
 from plait.pipeline.benchmarks.scenes import FormulaMotion, translation
 from plait.solver.build import build
 from plait.solver.diagnostics import Refused
-from plait.solver.scene import Attachment, Motion, Scene, StaticMotion, Surface
+from plait.solver.scene import Attachment, Motion, Scene, Surface
 from plait.solver.settings import Settings, StrandContactSettings, StrandSettings
 from plait.solver.step import Simulation
 
 from ..strands.rod_scenes import line, rod_scene
 from ..tets.lattices import box_lattice, tet_body
+from .scenes import clamp
 
 FRAME = 1.0 / 24.0
 LENGTH, SEGMENTS = 0.1, 20
@@ -36,16 +37,9 @@ class Window:
         return self.first <= time + 1e-9 < self.last
 
 
-def place(at: np.ndarray, motion: Motion | None = None) -> Surface:
-    """A triangle about a place, which does not collide."""
-    corners = at + 1e-3 * np.array([[1.0, 0.1, 0.0], [-0.5, -0.2, 0.9], [-0.5, 0.1, -0.9]])
-    triangle = np.array([[0, 1, 2]], np.int32)
-    return Surface("place", corners, triangle, motion=motion or StaticMotion(), collides=False)
-
-
 def held(scene: Scene, point: int, motion: Motion | None = None, **more: Any) -> Scene:
     """Point `point` held at a place of its own."""
-    surface = place(scene.strands[0].points[point], motion)
+    surface = clamp("place", scene.strands[0].points[point], motion)
     middle = np.full((1, 3), 1.0 / 3.0)
     tie = Attachment("held", 0, np.array([point]), len(scene.surfaces), np.zeros(1, np.int32), middle, **more)
     return replace(scene, surfaces=(*scene.surfaces, surface), attachments=(*scene.attachments, tie))

@@ -8,7 +8,6 @@ import numpy as np
 
 from plait.pipeline.benchmarks.scenes import rods, straight
 from plait.solver.scene import Scene
-from plait.solver.settings import Settings, StrandContactSettings
 
 from .scenes import FRAMES_PER_SECOND, TUBE, TUBE_THICKNESS, Case
 
@@ -22,8 +21,7 @@ def test_what_touches_as_drawn_moves_as_if_alone():
     surface, strands = rods("hair", [twice, twice.copy(), *parting], TUBE, rest_shape="authored")
     case, points = Case(Scene((surface,), (strands,)), frames=3), []
     for method in ("none", "implicit"):
-        contact = StrandContactSettings(method=method)
-        simulation = case.start(Settings(threads=1, substeps=8, strand_contact=contact))
+        simulation = case.start(method)
         for frame in range(case.frames):
             found = simulation.advance_frame((frame + 1) / FRAMES_PER_SECOND)
             assert found["substeps"] == 8
@@ -46,9 +44,7 @@ def test_what_is_drawn_too_near_stays_as_drawn():
     surface, strands = rods("hair", lock, TUBE)
     strands = replace(strands, thickness=TUBE_THICKNESS)
     case = Case(Scene((surface,), (strands,)), frames=8)
-    simulation = case.start(
-        Settings(threads=1, substeps=8, strand_contact=StrandContactSettings(method="implicit"))
-    )
+    simulation = case.start()
     for frame in range(case.frames):
         found = simulation.advance_frame((frame + 1) / FRAMES_PER_SECOND)
         assert found["substeps"] == 8 and found["strands"]["missed"] == 0

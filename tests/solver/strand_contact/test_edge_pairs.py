@@ -11,7 +11,8 @@ import warp as wp
 from plait.solver.launch import Launcher
 from plait.solver.strand_contact.edge_pairs import EdgePairs
 
-from .pairs_of_edges import edges_of, layout_of
+from .pairs_of_edges import layout_of
+from .referee import edges_of
 
 LAUNCHER = Launcher("cpu", threads=1)
 REACH, MARGIN = 4e-4, 1e-3
@@ -46,7 +47,7 @@ def rotation(angle: float) -> np.ndarray:
 
 def of_two_strands(layout: SimpleNamespace) -> np.ndarray:
     """(count, 2) all pairs of edges of different strands."""
-    edges = edges_of(layout)
+    edges = edges_of(layout.first_node)
     a, b = (edges[k] for k in np.triu_indices(len(edges), 1))
     return np.stack([a, b], axis=1)[layout.node_strand[a] != layout.node_strand[b]]
 

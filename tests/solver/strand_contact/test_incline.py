@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plait.solver.settings import Settings, StrandContactSettings
-
 from . import scenes
 
 GRAVITY = 9.81
@@ -16,7 +14,7 @@ def slide(friction: float, degrees: float) -> np.ndarray:
     """(13,) [m] the way down the rails at frames of 1/24 s, rails inclined by so much more than atan(friction)."""
     angle = np.arctan(friction) + np.radians(degrees)
     case = scenes.incline(angle, friction)
-    simulation = case.start(Settings(threads=1, strand_contact=StrandContactSettings(method="implicit")))
+    simulation = case.start()
     down = np.array([np.cos(angle), -np.sin(angle), 0.0])
     stage = simulation.model.parts["strands"]
     ways = [float((stage.points(1) @ down).mean())]

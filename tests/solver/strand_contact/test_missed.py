@@ -10,7 +10,8 @@ from plait.solver.launch import Launcher
 from plait.solver.strand_contact.missed import MissedCollisions
 from plait.solver.strand_contact.missed_kernels import find_missed
 
-from .pairs_of_edges import edges_of, layout_of, random_motions, tight_inclusion
+from .pairs_of_edges import layout_of, random_motions, tight_inclusion
+from .referee import edges_of
 
 LAUNCHER = Launcher("cpu", threads=1)
 # Into a frame along no axis.
@@ -118,7 +119,7 @@ def test_all_strands_are_looked_at():
     layout = layout_of(list(roots + np.cumsum(4e-3 * random.standard_normal((8, 10, 3)), axis=1)))
     start = layout.position
     end = start + 6e-3 * random.standard_normal(start.shape) + 0.05
-    edges = edges_of(layout)
+    edges = edges_of(layout.first_node)
     a, b = (edges[k] for k in np.triu_indices(len(edges), 1))
     apart = (b - a > 1) | (layout.node_strand[a] != layout.node_strand[b])
     a, b = a[apart], b[apart]

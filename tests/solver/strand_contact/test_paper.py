@@ -281,8 +281,7 @@ def test_threads_do_not_change_a_bit():
 def missed(method: str) -> tuple[int, dict[str, object]]:
     """Of two strands that swing at each other at .3 m/s, a quarter of their distance to keep a substep."""
     case = scenes.crossing(pairs=1, speed=(0.3, 0.3))
-    settings = Settings(threads=1, substeps=32, strand_contact=StrandContactSettings(method=method))
-    simulation = case.start(settings)
+    simulation = case.start(method, substeps=32)
     judge = referee.Referee(simulation)
     metrics = [simulation.advance_frame((frame + 1) / scenes.FRAMES_PER_SECOND)["strands"] for frame in range(3)]
     assert max(frame["strain_max"] for frame in metrics) < 0.02
@@ -301,8 +300,7 @@ def test_what_is_not_selected_is_not_loaded():
     code = """
 import sys
 from tests.solver.strand_contact.scenes import crossing
-from plait.solver.settings import Settings, StrandContactSettings
-simulation = crossing(pairs=1).start(Settings(threads=1, strand_contact=StrandContactSettings(method="none")))
+simulation = crossing(pairs=1).start("none")
 assert not any(name.startswith("strand_paper") for name in simulation.state.arrays)
 assert not [name for name in sys.modules if "strand_contact.paper" in name or "sparse_grid" in name]
 """

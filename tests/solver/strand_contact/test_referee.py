@@ -6,8 +6,6 @@ import ipctk
 import numpy as np
 import pytest
 
-from plait.solver.settings import Settings, StrandContactSettings
-
 from . import referee, scenes
 
 
@@ -36,7 +34,7 @@ def test_missed_collisions_are_those_of_the_test_on_every_pair():
 def test_strands_that_pass_through_are_counted_once_for_each_crossing():
     """Two strands swung through each other at 5 m/s cross once; without contact the referee says so."""
     case = scenes.crossing(pairs=2, speed=(5.0, 5.0))
-    simulation = case.start(Settings(threads=1, strand_contact=StrandContactSettings(method="none")))
+    simulation = case.start("none")
     judge = referee.Referee(simulation)
     simulation.advance_frame(1.0 / 24.0)
     assert judge.substeps == 8

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from plait.solver import launch
-from plait.solver.settings import Settings, StrandContactSettings
 from plait.solver.step import Simulation
 
 from . import scenes
@@ -14,9 +13,7 @@ TAKEN_UP, LAST = 4, 6  # frames; the bundles meet in the third
 
 
 def start(threads: int = 1) -> Simulation:
-    case = scenes.tubes(strands=20, segments=30)
-    contact = StrandContactSettings(method="implicit")
-    return case.start(Settings(threads=threads, substeps=case.substeps, strand_contact=contact))
+    return scenes.tubes(strands=20, segments=30).start(threads=threads)
 
 
 def play(simulation: Simulation, first: int, last: int) -> int:

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from plait.pipeline.benchmarks.strand_scenes import CAPSTAN_LOAD
-from plait.solver.settings import Settings, StrandContactSettings
 from plait.solver.step import Simulation
 
 from . import scenes
 from .referee import Referee, braid_invariant, inside_convex, linking_matrix, section, section_area
 
 FRAME = 1.0 / scenes.FRAMES_PER_SECOND
-
-
-def start(case: scenes.Case, method: str = "implicit", substeps: int | None = None, **more: Any) -> Simulation:
-    contact = StrandContactSettings(method=method)
-    return case.start(Settings(threads=1, substeps=substeps or case.substeps, strand_contact=contact, **more))
 
 
 def curves(simulation: Simulation) -> np.ndarray:
@@ -35,7 +27,7 @@ TUBES = [pytest.param(SMALL, 8, id="small"), pytest.param(FULL, 30, id="full", m
 @pytest.mark.parametrize(("size", "frames"), TUBES)
 def test_tubes_do_not_pass_through_each_other(size, frames):
     """No collision missed on any substep that was committed; strain below 2 %, its median below .5 %."""
-    simulation = start(scenes.tubes(**size))
+    simulation = scenes.tubes(**size).start()
     judge = Referee(simulation)
     medians = []
     for frame in range(frames):
@@ -49,7 +41,7 @@ def test_tubes_do_not_pass_through_each_other(size, frames):
 
 def test_without_contact_the_tubes_pass_through_each_other():
     """Every upper strand through every lower one: what the test above would see if contact did nothing."""
-    simulation = start(scenes.tubes(**SMALL), "none")
+    simulation = scenes.tubes(**SMALL).start("none")
     judge = Referee(simulation)
     for frame in range(5):
         simulation.advance_frame((frame + 1) * FRAME)
@@ -63,7 +55,7 @@ CROSSINGS = [pytest.param(4, id="4 pairs"), pytest.param(30, id="30 pairs", mark
 def test_fast_crossings_stop_without_gaining_energy(pairs):
     """At 5 to 20 m/s none passes, strain stays below 10 %, and energy, which nothing adds to, never rises."""
     case = scenes.crossing(pairs)
-    simulation = start(case, substeps=1)
+    simulation = case.start(substeps=1)
     mass = simulation.model.parts["strands"].layout.mass[simulation.model.parts["strands"].layout.point_node]
     judge = Referee(simulation)
     energies = [0.5 * float(mass @ (case.velocity**2).sum(axis=1))]
@@ -87,7 +79,7 @@ def test_hair_on_a_shaken_head(size, frames):
     """Nothing passes through, no point is inside the head, strain below 3 %."""
     case = scenes.head(**size)
     ball = next(surface for surface in case.scene.surfaces if surface.name == "head")
-    simulation = start(case)
+    simulation = case.start()
     judge = Referee(simulation)
     for frame in range(frames):
         simulation.advance_frame((frame + 1) * FRAME)
@@ -107,7 +99,7 @@ BRAIDS = [
 @pytest.mark.parametrize(("size", "frames"), BRAIDS)
 def test_a_braid_pulled_tight_stays_a_braid(size, frames):
     """Linking numbers stay; so does the braid itself from when its ends have been pulled apart on."""
-    simulation = start(scenes.braid(**size))
+    simulation = scenes.braid(**size).start()
     judge = Referee(simulation)
     away = scenes.braid_pull(curves(simulation))
     linked, braids = [linking_matrix(curves(simulation), away)], []
@@ -136,7 +128,7 @@ CAPSTANS = [
 @pytest.mark.parametrize(("friction", "degrees"), CAPSTANS)
 def test_capstan(friction, degrees):
     """T2 / T1 = exp(friction * angle), Euler and Eytelwein, within 2 % while the strand slides."""
-    simulation = start(scenes.capstan(friction, np.radians(degrees)))
+    simulation = scenes.capstan(friction, np.radians(degrees)).start()
     ratios = []
     for frame in range(16):
         simulation.advance_frame((frame + 1) * FRAME)
@@ -148,7 +140,7 @@ def test_capstan(friction, degrees):
 @pytest.mark.slow
 def test_a_bundle_keeps_its_section():
     """Landed, the hull of its strands' discs is no less than their sum, and no more than 1.5 times that."""
-    simulation = start(scenes.landing())
+    simulation = scenes.landing().start()
     judge = Referee(simulation)
     radius = scenes.TUBE.radius + 0.5 * scenes.TUBE_THICKNESS
     for frame in range(48):
@@ -163,7 +155,7 @@ def test_a_bundle_keeps_its_section():
 
 def test_strands_that_never_meet_are_left_alone():
     """Bit for bit as without contact, for no more than one launch a substep."""
-    runs = [start(scenes.alone(strands=4), method) for method in ("none", "implicit")]
+    runs = [scenes.alone(strands=4).start(method) for method in ("none", "implicit")]
     launches = []
     for simulation in runs:
         found = [simulation.advance_frame((frame + 1) * FRAME)["launches"]["strands"] for frame in range(3)]
@@ -175,6 +167,6 @@ def test_strands_that_never_meet_are_left_alone():
 
 def test_one_strand_alone_has_no_contact():
     """Not even the search for pairs: the same launches as without."""
-    simulations = [start(scenes.alone(strands=1), method) for method in ("none", "implicit")]
+    simulations = [scenes.alone(strands=1).start(method) for method in ("none", "implicit")]
     first, second = (simulation.advance_frame(FRAME)["launches"] for simulation in simulations)
     assert first == second
