@@ -33,6 +33,8 @@ FEW = 0.5
 UNRELAXED, RELAXED = 5, 0.6
 # After so many passes the most is enough; after so many contacts may be out of place, but not deep.
 ENOUGH, LENIENT = 6, 10
+# A pass of some strands counts for their part of all; yet no more than so many times as many are made.
+MANY = 3
 # Strands that would go further through each other than this part of a segment take shorter steps at once.
 FURTHEST = 1.0
 # As a last resort strands go half, a quarter, ... of their way, so often, then none of it.
@@ -137,7 +139,8 @@ class StrandContact:
         before = solve.iterations
         solve.play(planes, constrained, self._expected)
         stands = full = settled = False
-        for done in range(self._settings.passes + 1):
+        spent = 0.0
+        for done in range(MANY * self._settings.passes + 1):
             if done and solve.largest(solve.ways.stray) > 1.0:
                 self._find_again()
             self._locate(STEADY if done >= FREE_PLACES else 0.0)
@@ -157,12 +160,13 @@ class StrandContact:
                 solve.linearise()
                 settled = self._settled(done)
                 stands = settled and self._in_place(done)
-            if stands or done == self._settings.passes:
+            if stands or spent >= self._settings.passes or done == MANY * self._settings.passes:
                 break
             if done >= FREE_PLACES and self.ties is None:
                 self._let_others_be(done)
             full = done < UNRELAXED or done % 2 == 1
             solve.step(1.0 if full else RELAXED)
+            spent += solve.playing_count / len(solve.strands)
             if self.ties is not None:
                 self.ties.hold()
             self.tally.passes += 1

@@ -146,7 +146,7 @@ class EdgeContacts:
         self._allocate()
         self._meetings, self._before = self._before, self._meetings
         self._room, self._before_room = self._before_room, self._room
-        self._before.edges, self._before_count = wp.clone(self.pairs.pairs), self.pairs.count
+        self._before.edges, self._before_first = wp.clone(self.pairs.pairs), wp.clone(self.pairs.first_pair)
         self._places.assign(places)
         self.make_room(expected, self._places)
         wp.copy(self._sought, self._places)
@@ -169,7 +169,7 @@ class EdgeContacts:
         elsewhere: strands have not travelled to where they are now.
         """
         self._hold_pairs()
-        self._launch(resume, [self._before, self._before_count, elsewhere], PAIR_WORK)
+        self._launch(resume, [self._before, self._before_first, elsewhere], PAIR_WORK)
 
     def forget(self) -> None:
         """There are no contacts."""

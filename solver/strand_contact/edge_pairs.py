@@ -69,6 +69,7 @@ class EdgePairs:
     count: pairs found.  pairs: (count,) vec2i, edges (a, b), sorted by a, then b.
     first: (node_count + 1,) int32 and incident: (2 count,) int32: the pairs of edge k are incident[i] // 2 for i
     from first[k] to first[k + 1] - 1, in the order of the other edge; incident[i] % 2 is k's side in the pair.
+    first_pair: (node_count + 1,) int32: edge k is the first of pairs first_pair[k] to first_pair[k + 1] - 1.
     near: (strand_count,) bool, strands with any pair.
     """
 
@@ -113,7 +114,7 @@ class EdgePairs:
         self._room = np.full(chunks, CHUNK * FIRST_ROOM, dtype=np.int64)
         self.first = self._full(self._node_count + 1, wp.int32)
         self._first_entry = self._full(self._node_count + 1, wp.int32)
-        self._first_pair = self._full(self._node_count + 1, wp.int32)
+        self.first_pair = self._full(self._node_count + 1, wp.int32)
         self._first_second = self._full(self._node_count + 1, wp.int32)
         self._clear()
 
@@ -236,7 +237,7 @@ class EdgePairs:
         """Partners listed, then numbered as pairs, then given to both their edges."""
         self._list_partners(search)
         launch, partners, nodes = self._launcher.launch, self._partners, self._node_count
-        self.count = count = _scan(partners.count, self._first_pair)
+        self.count = count = _scan(partners.count, self.first_pair)
         if count == 0:
             self._clear()
             return False
@@ -245,10 +246,10 @@ class EdgePairs:
         # Sorting takes twice the room.
         second, number = (self._buffer(name, wp.int32, 2 * count) for name in ("second", "number"))
         outputs = [self.pairs, second, number]
-        launch(write_pairs, nodes, [partners, self._first_pair], outputs, work_per_item=NUMBER_WORK)
+        launch(write_pairs, nodes, [partners, self.first_pair], outputs, work_per_item=NUMBER_WORK)
         wp.utils.radix_sort_pairs(second, number, count)
         launch(find_seconds, count + 1, [count, second], [self._first_second])
-        inputs, outputs = [self._first_pair, self._first_second, number], [self.first, self.incident]
+        inputs, outputs = [self.first_pair, self._first_second, number], [self.first, self.incident]
         launch(write_incident, nodes, inputs, outputs, work_per_item=NUMBER_WORK)
         first = self.first.numpy()[self._first_node]
         self.near = first[1:] > first[:-1]
@@ -262,6 +263,7 @@ class EdgePairs:
         self.pairs = self._full(0, wp.vec2i)
         self.incident = self._full(0, wp.int32)
         self.first.zero_()
+        self.first_pair.zero_()
         self.near = np.zeros(self._strand_count, dtype=bool)
 
     def _hold_edges(self, layout: Layout, reach: np.ndarray, prescribed: np.ndarray | None) -> Edges:

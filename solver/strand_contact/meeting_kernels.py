@@ -209,25 +209,22 @@ def recall(first: int, held: Held, meetings: Meetings):
 
 
 @wp.kernel
-def resume(first: int, before: Meetings, before_count: int, elsewhere: bool, meetings: Meetings):
+def resume(
+    first: int, before: Meetings, before_first: wp.array(dtype=wp.int32), elsewhere: bool, meetings: Meetings
+):
     """What was known of a pair when pairs were last found in this substep; one pair an item.
 
-    before: what was known, `before_count` pairs in order.
+    before: what was known.  before_first: (node_count + 1,) each edge's pairs there in which it is the first.
     elsewhere: strands have not travelled to where they are now: nothing surely keeps apart.
     """
     item = first + wp.tid()
     edges = meetings.edges[item]
-    low = wp.int32(0)
-    high = before_count
-    while low < high:
-        middle = (low + high) / 2
-        other = before.edges[middle]
-        if other[0] < edges[0] or (other[0] == edges[0] and other[1] < edges[1]):
-            low = middle + 1
-        else:
-            high = middle
+    low = before_first[edges[0]]
+    end = before_first[edges[0] + 1]
+    while low < end and before.edges[low][1] < edges[1]:
+        low += 1
     known = wp.bool(False)
-    if low < before_count:
+    if low < end:
         known = before.edges[low] == edges
     if not known:
         begin_unknown(meetings, item)
@@ -235,22 +232,27 @@ def resume(first: int, before: Meetings, before_count: int, elsewhere: bool, mee
     meetings.apart[item] = before.apart[low]
     meetings.drawn[item] = before.drawn[low]
     meetings.clear_until[item] = before.clear_until[low]
+    if elsewhere:
+        meetings.drawn[item] = -ONE
+        meetings.clear_until[item] = -ONE
+    meetings.fault[item] = before.fault[low]
+    meetings.swings[item] = before.swings[low]
+    meetings.sliding[item] = before.sliding[low]
+    meetings.stiffness[item] = before.stiffness[low]
+    if before.stiffness[low] == ZERO:
+        meetings.gap[item] = before.gap[low]
+        meetings.slack[item] = before.slack[low]
+        rest(meetings, item)
+        return
     meetings.place[item] = before.place[low]
     meetings.normal[item] = before.normal[low]
     meetings.target[item] = before.target[low]
     meetings.gap[item] = before.gap[low]
     meetings.slack[item] = before.slack[low]
-    meetings.fault[item] = before.fault[low]
     meetings.turned[item] = before.turned[low]
-    meetings.stiffness[item] = before.stiffness[low]
     meetings.pressure[item] = before.pressure[low]
     meetings.traction[item] = before.traction[low]
-    meetings.sliding[item] = before.sliding[low]
-    meetings.swings[item] = before.swings[low]
     meetings.acts[item] = before.acts[low]
-    if elsewhere:
-        meetings.drawn[item] = -ONE
-        meetings.clear_until[item] = -ONE
 
 
 @wp.kernel
