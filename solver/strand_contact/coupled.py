@@ -237,11 +237,11 @@ class StrandContact:
     def _let_others_be(self, done: int) -> None:
         """Only strands that are not settled go on, with those that they push, where these are few."""
         solve, meetings = self._solve, self.contacts.meetings
-        count = self.contacts.pairs.count
+        chosen = self.contacts.chosen
         restless = ~solve.settled_strands(*self._tolerance(done))
-        strands = self._layout.node_strand[self.contacts.pairs.pairs.numpy()[:count]]
-        restless[strands[self.contacts.faults() > 0]] = True
-        pushing = strands[meetings.acts.numpy()[:count] > 0]
+        strands = self._layout.node_strand[self.contacts.pairs.pairs.numpy()[chosen]]
+        restless[strands[self.contacts.faults()[chosen] > 0]] = True
+        pushing = strands[meetings.acts.numpy()[chosen] > 0]
         beside = restless.copy()
         beside[pushing[restless[pushing].any(axis=1)]] = True
         if 0 < beside.sum() < FEW * solve.playing_count:

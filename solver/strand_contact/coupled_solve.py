@@ -106,13 +106,15 @@ class CoupledSolve:
         self._playing = self.strands if strands is None else strands
         moved = self.ways.moved.numpy()
         self._last_moved = np.where(moved == AT_REST, self._last_moved, moved)
-        if not self.all_play:
+        if self.all_play:
+            self.ways.moved.assign(self._last_moved)
+            self._contacts.choose()
+        else:
             self._scratch.solution.zero_()
             moved = np.full(self._layout.strand_count, AT_REST)
             moved[self._playing] = self._last_moved[self._playing]
             self.ways.moved.assign(moved)
-        else:
-            self.ways.moved.assign(self._last_moved)
+            self._contacts.choose(moved != AT_REST)
         self._count, self._active = len(self._playing), self._hold(self._playing)
         self._constrained = constrained
         self._record(planes, constrained, expected)

@@ -69,6 +69,7 @@ class EdgeContacts:
     pairs: the pairs of edges.  meetings: what is known of each.
     acting_first, acting: those of each edge that push, as in `EdgePairs`.  acting_count: of both edges.
     lasting: (strand_count,) int32, 1: strands that were in contact when the substep began.
+    chosen: indices of the pairs that are looked at in a pass.
     widest: [m] the largest distance that strands keep.
     room: (node_count,) [m] how far each node may be from where pairs were found for, if more than `least_room`.
     """
@@ -106,6 +107,8 @@ class EdgeContacts:
         self._meetings, self._before = Meetings(), Meetings()
         self._room = self._before_room = -1
         self.acting: wp.array | None = None
+        self._every = wp.zeros(0, dtype=wp.int32, device=device)
+        self.choose()
 
     # -- which pairs ---------------------------------------------------------------------------------------
 
@@ -177,12 +180,22 @@ class EdgeContacts:
 
     def commit(self, start: wp.array, position: wp.array, ways: Ways, calm: float) -> None:
         """Forces at `position` are those to go on from; where strands moved less than `calm`, they are held."""
+        self.choose()
         self._hold(start, position, ways, calm, np.inf)
         inputs, edges = [self.pairs.first, self.pairs.incident, self._meetings], self._layout.node_count - 1
         self._launcher.launch(remember, edges, inputs, [self._held], work_per_item=PAIR_WORK)
         self._launcher.launch(lose_room, self._layout.node_count, [], [self.room])
 
     # -- where and how they touch --------------------------------------------------------------------------
+
+    def choose(self, playing: np.ndarray | None = None) -> None:
+        """From now on pairs with a strand that is `playing`, (strand_count,) bool, are looked at; None: all."""
+        if playing is None:
+            self.chosen, self._chosen = np.arange(self.pairs.count, dtype=np.int32), self._every
+            return
+        either = playing[self._layout.node_strand][self.pairs.pairs.numpy()].any(axis=1)
+        self.chosen = np.flatnonzero(either).astype(np.int32)
+        self._chosen = wp.array(self.chosen, dtype=wp.int32, device=self._launcher.device)
 
     def locate(self, stiffness: wp.array, ways: Ways, steady: float, start: wp.array, position: wp.array) -> None:
         """Where pairs touch on their way from `start` to `position`.
@@ -191,7 +204,7 @@ class EdgeContacts:
         this part of a segment.
         """
         inputs = [self._nodes, stiffness, ways, wp.float64(steady), start, position]
-        self._launch(locate, inputs, LOCATE_WORK)
+        self._launch_chosen(locate, inputs, LOCATE_WORK)
 
     def pass_on(self) -> None:
         """Contacts that have gone past a node go on with the forces that they had; after the first `locate`."""
@@ -204,11 +217,11 @@ class EdgeContacts:
 
     def _hold(self, start: wp.array, position: wp.array, ways: Ways, calmer: float, calm: float) -> None:
         limits = [wp.float64(calmer), wp.float64(calm)]
-        self._launch(hold, [self._nodes, start, position, ways, *limits], PAIR_WORK)
+        self._launch_chosen(hold, [self._nodes, start, position, ways, *limits], PAIR_WORK)
 
     def press(self, start: wp.array, position: wp.array) -> None:
         """Forces and stiffnesses at `position`; lists what acts."""
-        self._launch(press, [self._nodes, start, position], PAIR_WORK)
+        self._launch_chosen(press, [self._nodes, start, position], PAIR_WORK)
         launcher, edges = self._launcher, self._layout.node_count - 1
         pairs, acts = self.pairs, self._meetings.acts
         inputs = [pairs.first, pairs.incident, acts]
@@ -230,6 +243,10 @@ class EdgeContacts:
 
     def _launch(self, kernel: wp.Kernel, inputs: list[Any], work: int) -> None:
         self._launcher.launch(kernel, self.pairs.count, inputs, [self._meetings], work_per_item=work)
+
+    def _launch_chosen(self, kernel: wp.Kernel, inputs: list[Any], work: int) -> None:
+        outputs = [self._meetings]
+        self._launcher.launch(kernel, len(self.chosen), [self._chosen, *inputs], outputs, work_per_item=work)
 
     @property
     def meetings(self) -> Meetings:
@@ -253,7 +270,10 @@ class EdgeContacts:
                 setattr(self._meetings, name, wp.zeros(self._room, dtype=dtype, device=device))
         if self.acting is None or len(self.acting) < 2 * count:
             self.acting = wp.zeros(2 * self._room, dtype=wp.int32, device=device)
+        if len(self._every) < count:
+            self._every = wp.array(np.arange(self._room), dtype=wp.int32, device=device)
         self._meetings.edges = self.pairs.pairs
+        self.choose()
 
 
 def _allocate_held(slots: int, device: wp.Device) -> Held:

@@ -319,6 +319,7 @@ def least_of_boxes(
 @wp.kernel
 def locate(
     first: int,
+    chosen: wp.array(dtype=wp.int32),
     nodes: Nodes,
     stiffness: wp.array(dtype=wp.float64),
     ways: Ways,
@@ -327,14 +328,14 @@ def locate(
     x: wp.array(dtype=wp.vec3d),
     meetings: Meetings,
 ):
-    """Where edges on their way from `start` to `x` touch or are nearest, and their gap; one pair an item.
+    """Where edges on their way from `start` to `x` touch or are nearest, and their gap; one pair `chosen` an item.
 
     What pushes keeps its place and normal once its strands move less than `steady`: points of nearly parallel
     edges would go to and fro.
 
     stiffness: (node_count,) [N/m] of the nodes.
     """
-    item = first + wp.tid()
+    item = chosen[first + wp.tid()]
     a = meetings.edges[item][0]
     b = meetings.edges[item][1]
     travelled = wp.max(ways.travel[a], ways.travel[a + 1]) + wp.max(ways.travel[b], ways.travel[b + 1])
@@ -503,13 +504,14 @@ def push(
 @wp.kernel
 def press(
     first: int,
+    chosen: wp.array(dtype=wp.int32),
     nodes: Nodes,
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
     meetings: Meetings,
 ):
-    """Force and stiffness at `x` of each pair; one an item. What presses from too far is out of place."""
-    item = first + wp.tid()
+    """Force and stiffness at `x` of the pairs `chosen`; one an item. What presses from too far is out of place."""
+    item = chosen[first + wp.tid()]
     if meetings.stiffness[item] == ZERO:
         return
     if meetings.pressure[item] == ZERO and meetings.gap[item] > ZERO and meetings.acts[item] == 0:
@@ -528,6 +530,7 @@ def press(
 @wp.kernel
 def hold(
     first: int,
+    chosen: wp.array(dtype=wp.int32),
     nodes: Nodes,
     start: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
@@ -536,12 +539,12 @@ def hold(
     calm: wp.float64,
     meetings: Meetings,
 ):
-    """Holds the force at `x` of a pair that took part in the last step; one pair an item.
+    """Holds the force at `x` of a pair that took part in the last step; one of the pairs `chosen` an item.
 
     If of its two strands the one that moved further did so by more than `calmer`, up to `calm`. Or if there is
     less of it: what has parted presses no more.
     """
-    item = first + wp.tid()
+    item = chosen[first + wp.tid()]
     if meetings.stiffness[item] == ZERO or meetings.acts[item] == 0:
         return
     edges = meetings.edges[item]
