@@ -149,7 +149,7 @@ class StrandContact:
             if done == 1 and not last_resort and self._too_fast():
                 break
             if done:
-                self._calm = ADRIFT if settled else CALM
+                self._calm = np.inf if settled else CALM
                 self.contacts.hold(self._start, solve.position, solve.ways, self._calm)
             self.contacts.press(self._start, solve.position)
             solve.linearise()
