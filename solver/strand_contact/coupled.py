@@ -69,7 +69,7 @@ class StrandContact:
         self._solve: CoupledSolve | None = None
         self._meets = False
         self._passes = 0
-        self._calm = CALM
+        self._calm, self._settled = CALM, False
         self.tally = Tally()
 
     def begin_frame(self) -> None:
@@ -136,31 +136,16 @@ class StrandContact:
         still going through something is held back, and all stands.
         """
         solve, self._surfaces = self._solve, (planes, constrained)
-        before = solve.iterations
+        before, most = solve.iterations, self._settings.passes
         solve.play(planes, constrained, self._expected)
-        stands = full = settled = False
-        spent = 0.0
-        for done in range(MANY * self._settings.passes + 1):
-            if done and solve.largest(solve.ways.stray) > 1.0:
-                self._find_again()
-            self._locate(STEADY if done >= FREE_PLACES else 0.0)
-            if not self._passes:
-                self.contacts.pass_on()
+        self._settled = stands = full = False
+        done, spent = 0, 0.0
+        while True:
+            self._find_places(done)
             if done == 1 and not last_resort and self._too_fast():
                 break
-            if done:
-                self._calm = np.inf if settled else CALM
-                self.contacts.hold(self._start, solve.position, solve.ways, self._calm)
-            self.contacts.press(self._start, solve.position)
-            solve.linearise()
-            settled = bool(done) and self._settled(done)
-            stands = settled and full and self._in_place(done)
-            if stands and not solve.all_play:
-                solve.play(*self._surfaces, self._expected)
-                solve.linearise()
-                settled = self._settled(done)
-                stands = settled and self._in_place(done)
-            if stands or spent >= self._settings.passes or done == MANY * self._settings.passes:
+            stands = self._balance(done, full)
+            if stands or spent >= most or done == MANY * most:
                 break
             if done >= FREE_PLACES and self.ties is None:
                 self._let_others_be(done)
@@ -169,8 +154,9 @@ class StrandContact:
             spent += solve.playing_count / len(solve.strands)
             if self.ties is not None:
                 self.ties.hold()
-            self.tally.passes += 1
-            self._passes += 1
+            done += 1
+        self._passes += done
+        self.tally.passes += done
         self.tally.linear_iterations += solve.iterations - before
         if not stands and last_resort:
             self._hold_back()
@@ -223,8 +209,37 @@ class StrandContact:
         if self.ties is not None:
             self.ties.measure()
 
-    def _settled(self, done: int) -> bool:
-        """Whether every strand is in balance."""
+    def _find_places(self, done: int) -> None:
+        """Where strands touch after so many passes; with pairs found again, if they have gone astray."""
+        if done and self._solve.largest(self._solve.ways.stray) > 1.0:
+            self._find_again()
+        self._locate(STEADY if done >= FREE_PLACES else 0.0)
+        if not self._passes and not done:
+            self.contacts.pass_on()
+
+    def _balance(self, done: int, full: bool) -> bool:
+        """Forces and matrices where strands are after so many passes; whether they may stay there.
+
+        full: the last pass was not damped.
+        """
+        solve = self._solve
+        if done:
+            # Where all is in balance nothing else brings contacts into place.
+            self._calm = np.inf if self._settled else CALM
+            self.contacts.hold(self._start, solve.position, solve.ways, self._calm)
+        self.contacts.press(self._start, solve.position)
+        solve.linearise()
+        self._settled = bool(done) and self._in_balance(done)
+        stands = self._settled and full and self._in_place(done)
+        if stands and not solve.all_play:
+            solve.play(*self._surfaces, self._expected)
+            solve.linearise()
+            self._settled = self._in_balance(done)
+            stands = self._settled and self._in_place(done)
+        return stands
+
+    def _in_balance(self, done: int) -> bool:
+        """Whether every strand in play is."""
         return self._solve.solved and bool(self._solve.settled_strands(*self._tolerance(done)).all())
 
     def _in_place(self, done: int) -> bool:

@@ -299,21 +299,94 @@ def begin(nodes: Nodes, start: wp.array(dtype=wp.vec3d), widest: wp.float64, ite
     meetings.drawn[item] = drawn
 
 
+@wp.struct
+class Sweep:
+    """Two edges on their way through a substep: their ends [m] at its start, and where they have come to."""
+
+    a0: wp.vec3d
+    a1: wp.vec3d
+    b0: wp.vec3d
+    b1: wp.vec3d
+    a0_end: wp.vec3d
+    a1_end: wp.vec3d
+    b0_end: wp.vec3d
+    b1_end: wp.vec3d
+
+
 @wp.func
-def least_of_boxes(
-    a0: wp.vec3d,
-    a1: wp.vec3d,
-    b0: wp.vec3d,
-    b1: wp.vec3d,
-    c0: wp.vec3d,
-    c1: wp.vec3d,
-    d0: wp.vec3d,
-    d1: wp.vec3d,
-) -> wp.float64:
+def sweep_of(start: wp.array(dtype=wp.vec3d), x: wp.array(dtype=wp.vec3d), a: int, b: int):
+    return Sweep(start[a], start[a + 1], start[b], start[b + 1], x[a], x[a + 1], x[b], x[b + 1])
+
+
+@wp.func
+def clearance_of_boxes(w: Sweep) -> wp.float64:
     """How far apart the boxes of two edges' ways are along an axis; negative where they overlap along all."""
-    lower = wp.min(wp.min(a0, a1), wp.min(c0, c1)) - wp.max(wp.max(b0, b1), wp.max(d0, d1))
-    upper = wp.min(wp.min(b0, b1), wp.min(d0, d1)) - wp.max(wp.max(a0, a1), wp.max(c0, c1))
-    return wp.max(wp.max(lower), wp.max(upper))
+    a_lower = wp.min(wp.min(w.a0, w.a1), wp.min(w.a0_end, w.a1_end))
+    a_upper = wp.max(wp.max(w.a0, w.a1), wp.max(w.a0_end, w.a1_end))
+    b_lower = wp.min(wp.min(w.b0, w.b1), wp.min(w.b0_end, w.b1_end))
+    b_upper = wp.max(wp.max(w.b0, w.b1), wp.max(w.b0_end, w.b1_end))
+    return wp.max(wp.max(a_lower - b_upper), wp.max(b_lower - a_upper))
+
+
+@wp.func
+def clearance(w: Sweep, before: wp.vec3d, after: wp.vec3d) -> wp.float64:
+    """What two edges keep apart all the way, at least; between their `closest_on_edges`, `before` and `after` it.
+
+    Their distance changes by no more than their ends move against each other.
+    """
+    ends = least_distance(before, w.a1 - w.a0, w.b1 - w.b0)
+    ends += least_distance(after, w.a1_end - w.a0_end, w.b1_end - w.b0_end)
+    return HALF * (ends - largest_shift(w.a0_end - w.a0, w.a1_end - w.a1, w.b0_end - w.b0, w.b1_end - w.b1))
+
+
+@wp.func
+def time_of_touch(w: Sweep, before: wp.vec3d, after: wp.vec3d, least: wp.float64) -> wp.float64:
+    """When two edges first are `least` [m] apart, from 0 to 1, if they may go through each other; else 2.
+
+    0: they touch at the start. before, after: as of `clearance`.
+    """
+    may = may_cross(w.a0, w.a1, w.b0, w.b1, w.a0_end, w.a1_end, w.b0_end, w.b1_end)
+    if not may and wp.dot(after, before) <= ZERO:
+        # So near an end on the right side that the closest points, which are drawn to the middles, show another.
+        may = distance_of_edges(w.a0_end, w.a1_end, w.b0_end, w.b1_end) < least
+    time = TWO
+    if may:
+        time = first_touch(w.a0, w.a1, w.b0, w.b1, w.a0_end, w.a1_end, w.b0_end, w.b1_end, least)
+    return time
+
+
+@wp.func
+def stop_at(w: Sweep, time: wp.float64):
+    """The same way, only until `time`."""
+    return Sweep(
+        w.a0, w.a1, w.b0, w.b1,
+        w.a0 + time * (w.a0_end - w.a0), w.a1 + time * (w.a1_end - w.a1),
+        w.b0 + time * (w.b0_end - w.b0), w.b1 + time * (w.b1_end - w.b1),
+    )  # fmt: skip
+
+
+@wp.func
+def leave_out(meetings: Meetings, item: int, clear: wp.float64):
+    """The pair keeps `clear` [m] apart, or must be let be."""
+    meetings.fault[item] = 0
+    meetings.gap[item] = clear
+    meetings.slack[item] = wp.abs(clear)
+    rest(meetings, item)
+
+
+@wp.func
+def stiffness_between(stiffness: wp.array(dtype=wp.float64), a: int, b: int, place: wp.vec2d) -> wp.float64:
+    """Of a contact [N/m]: that of the nodes it holds, one edge's behind the other's, and more."""
+    of_a = (ONE - place[0]) * stiffness[a] + place[0] * stiffness[a + 1]
+    of_b = (ONE - place[1]) * stiffness[b] + place[1] * stiffness[b + 1]
+    return STIFFER * of_a * of_b / (of_a + of_b)
+
+
+@wp.func
+def distance_to_keep(nodes: Nodes, a: int, b: int, place: wp.vec2d) -> wp.float64:
+    """[m]"""
+    of_a = (ONE - place[0]) * nodes.reach[a] + place[0] * nodes.reach[a + 1]
+    return of_a + (ONE - place[1]) * nodes.reach[b] + place[1] * nodes.reach[b + 1]
 
 
 @wp.kernel
@@ -341,84 +414,54 @@ def locate(
     travelled = wp.max(ways.travel[a], ways.travel[a + 1]) + wp.max(ways.travel[b], ways.travel[b + 1])
     if travelled < meetings.clear_until[item]:
         return
-    a0 = start[a]
-    a1 = start[a + 1]
-    b0 = start[b]
-    b1 = start[b + 1]
-    c0 = x[a]
-    c1 = x[a + 1]
-    d0 = x[b]
-    d1 = x[b + 1]
+    sweep = sweep_of(start, x, a, b)
     reach_a = wp.max(nodes.reach[a], nodes.reach[a + 1])
     reach_b = wp.max(nodes.reach[b], nodes.reach[b + 1])
     widest = reach_a + reach_b
-    clear = least_of_boxes(a0, a1, b0, b1, c0, c1, d0, d1)
+    clear = clearance_of_boxes(sweep)
     apart = wp.vec3d()
     place = wp.vec2d()
+    offset = wp.vec3d()
     if clear <= widest:
         if meetings.drawn[item] < ZERO:
             begin(nodes, start, widest, item, meetings)
             if drawn_through(nodes.radius, a, b, meetings.drawn[item]):
                 meetings.clear_until[item] = NEVER_AGAIN
-                meetings.fault[item] = 0
-                rest(meetings, item)
+                leave_out(meetings, item, ZERO)
                 return
         apart = meetings.apart[item]
-        place = closest_on_edges(c0, c1, d0, d1)
-        # Their distance changes by no more than their ends move against each other.
-        after = between(c0, c1, d0, d1, place)
-        clear = least_distance(apart, a1 - a0, b1 - b0) + least_distance(after, c1 - c0, d1 - d0)
-        clear = HALF * (clear - largest_shift(c0 - a0, c1 - a1, d0 - b0, d1 - b1))
+        place = closest_on_edges(sweep.a0_end, sweep.a1_end, sweep.b0_end, sweep.b1_end)
+        offset = between(sweep.a0_end, sweep.a1_end, sweep.b0_end, sweep.b1_end, place)
+        clear = clearance(sweep, apart, offset)
     if clear > widest:
-        meetings.fault[item] = 0
-        meetings.gap[item] = clear
-        meetings.slack[item] = clear
         meetings.clear_until[item] = travelled + clear - widest
-        rest(meetings, item)
+        leave_out(meetings, item, clear)
         return
     fault = wp.int32(0)
     before = wp.length(apart)
     least = LEFT * wp.min(before, nodes.reach[a] + nodes.reach[b])
-    suspect = clear <= least and may_cross(a0, a1, b0, b1, c0, c1, d0, d1)
-    if clear <= least and not suspect:
-        # So near an end on the right side that the closest points, which are drawn to the middles, show another.
-        if wp.dot(between(c0, c1, d0, d1, place), apart) <= ZERO:
-            suspect = distance_of_edges(c0, c1, d0, d1) < least
-    if suspect:
-        time = first_touch(a0, a1, b0, b1, c0, c1, d0, d1, least)
+    if clear <= least:
+        time = time_of_touch(sweep, apart, offset, least)
         if time == ZERO:
             # They touch where they start: neither has a side that it could be kept on.
-            meetings.fault[item] = 0
-            meetings.gap[item] = clear
-            meetings.slack[item] = wp.abs(clear)
-            rest(meetings, item)
+            leave_out(meetings, item, clear)
             return
         if time <= ONE:
             fault = CROSSING
-            c0 = a0 + time * (c0 - a0)
-            c1 = a1 + time * (c1 - a1)
-            d0 = b0 + time * (d0 - b0)
-            d1 = b1 + time * (d1 - b1)
+            touch = stop_at(sweep, time)
             # So near each other that points drawn to the middles would show a way along the edges.
-            place = exactly_closest(c0, c1, d0, d1)
-    s = place[0]
-    t = place[1]
-    offset = between(c0, c1, d0, d1, place)
+            place = exactly_closest(touch.a0_end, touch.a1_end, touch.b0_end, touch.b1_end)
+            offset = between(touch.a0_end, touch.a1_end, touch.b0_end, touch.b1_end, place)
     distance = wp.length(offset)
     normal = wp.vec3d()
     if distance > ZERO:
         normal = offset / distance
-    full = (
-        (ONE - s) * nodes.reach[a] + s * nodes.reach[a + 1] + (ONE - t) * nodes.reach[b] + t * nodes.reach[b + 1]
-    )
-    full = wp.min(full, meetings.drawn[item])
+    full = wp.min(distance_to_keep(nodes, a, b, place), meetings.drawn[item])
     target = full
     if before < full:
         target = before + REGAINED * (full - before)
-    of_a = (ONE - s) * stiffness[a] + s * stiffness[a + 1]
-    of_b = (ONE - t) * stiffness[b] + t * stiffness[b + 1]
-    held = STIFFER * of_a * of_b / (of_a + of_b)
-    gap = wp.dot(normal, along(x, a, s) - along(x, b, t)) - target
+    held = stiffness_between(stiffness, a, b, place)
+    gap = wp.dot(normal, along(x, a, place[0]) - along(x, b, place[1])) - target
     if wp.dot(normal, apart) <= ZERO and meetings.turned[item] == 0:
         # On another side without having gone through: past an end, or a neighbour has. It is left to that.
         held = ZERO
@@ -435,7 +478,7 @@ def locate(
         offset = along(x, a, meetings.place[item][0]) - along(x, b, meetings.place[item][1])
         gap = wp.dot(meetings.normal[item], offset) - meetings.target[item]
     if fault == CROSSING or not keeps:
-        meetings.place[item] = wp.vec2d(s, t)
+        meetings.place[item] = place
         meetings.normal[item] = normal
         meetings.target[item] = target
         meetings.stiffness[item] = held
