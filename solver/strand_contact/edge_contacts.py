@@ -11,6 +11,7 @@ from plait.solver.model import Model
 from plait.solver.state import State
 from plait.solver.strand_contact.acting_kernels import count_acting, list_acting
 from plait.solver.strand_contact.edge_pairs import EdgePairs
+from plait.solver.strand_contact.locating_kernels import locate
 from plait.solver.strand_contact.meeting_kernels import (
     CROSSING,
     HELD_AN_EDGE,
@@ -19,16 +20,14 @@ from plait.solver.strand_contact.meeting_kernels import (
     Nodes,
     Ways,
     expect,
-    hold,
-    locate,
     lose_room,
     make_room,
-    press,
     recall,
     remember,
     resume,
 )
 from plait.solver.strand_contact.passing_kernels import inherit, pass_on
+from plait.solver.strand_contact.pressing_kernels import hold, press
 from plait.solver.strands.layout import Layout
 
 # Costs of an item in units of `Launcher.launch`.
