@@ -44,7 +44,7 @@ class StrandContactSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_un
     method: 'none' (default) lets strands pass through each other; 'implicit' solves contact with the strands and
         lets none through; 'paper' is Han 2019, 5.2 and 5.3, for comparison.
     passes: Newton passes of the strands in contact in a substep, before it is asked to be halved; one of some of
-    them counts for their part.
+        them counts for their part.
     geometric_passes: of 'paper', how often geometric impulses are applied in a substep.
     """
 
