@@ -18,9 +18,12 @@ LAUNCHER = Launcher("cpu", threads=1)
 REACH, MARGIN = 4e-4, 1e-3
 
 
-def found(pairs: EdgePairs, start: np.ndarray, end: np.ndarray, margin: float = MARGIN) -> set[tuple[int, int]]:
+def found(
+    pairs: EdgePairs, start: np.ndarray, end: np.ndarray, margin: float | np.ndarray = MARGIN
+) -> set[tuple[int, int]]:
+    """margin: [m], or of each node, (node_count,)."""
     arrays = [wp.array(x, dtype=wp.vec3d) for x in (start, end)]
-    room = wp.full(len(start), 0.5 * margin, dtype=wp.float64)
+    room = wp.array(np.broadcast_to(0.5 * margin, len(start)), dtype=wp.float64)
     assert pairs.find(*arrays, room) == (pairs.count > 0)
     return set(map(tuple, pairs.pairs.numpy().tolist()))
 
@@ -52,7 +55,9 @@ def of_two_strands(layout: SimpleNamespace) -> np.ndarray:
     return np.stack([a, b], axis=1)[layout.node_strand[a] != layout.node_strand[b]]
 
 
-def near_on_the_way(layout: SimpleNamespace, start: np.ndarray, end: np.ndarray, within: float) -> set:
+def near_on_the_way(
+    layout: SimpleNamespace, start: np.ndarray, end: np.ndarray, within: float | np.ndarray
+) -> set:
     """Pairs of edges of different strands with two of 9 points nearer than `within` in one of 5 poses."""
     pairs, parts = of_two_strands(layout), np.linspace(0.0, 1.0, 9)[:, None]
     least = np.full(len(pairs), np.inf)
@@ -74,6 +79,19 @@ def test_none_is_lost(angle, shift):
     end += 1e-3 * np.random.default_rng(2).standard_normal(end.shape)
     near = near_on_the_way(layout, start, end, 2.0 * REACH + MARGIN)
     assert len(near) > 80 and near <= found(edge_pairs(layout), start, end)
+
+
+def test_nodes_have_room_of_their_own():
+    """All pairs nearer than their reaches and the rooms of their roomier nodes; fewer than if all had the most."""
+    layout, random = tangle(), np.random.default_rng(5)
+    start = layout.position
+    end = start + 1e-3 * random.standard_normal(start.shape)
+    margin = MARGIN * random.choice([0.2, 2.0], len(start), p=[0.9, 0.1])
+    room = 0.5 * np.maximum(margin, np.append(margin[1:], 0.0))
+    near = near_on_the_way(layout, start, end, 2.0 * REACH + room[of_two_strands(layout)].sum(axis=1))
+    listed = found(edge_pairs(layout), start, end, margin)
+    assert len(near) > 50 and near <= listed
+    assert listed < found(edge_pairs(layout), start, end, margin.max())
 
 
 def test_none_is_beyond_the_padding():
