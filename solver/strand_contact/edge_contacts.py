@@ -46,6 +46,8 @@ MEETING_ARRAYS = {
     "fault": wp.int32,
     "turned": wp.int32,
     "stiffness": wp.float64,
+    "stiffer": wp.float64,
+    "overlap": wp.float64,
     "pressure": wp.float64,
     "traction": wp.vec3d,
     "sliding": wp.vec3d,

@@ -224,7 +224,7 @@ def locate(
     target = full
     if before < full:
         target = before + REGAINED * (full - before)
-    held = stiffness_between(stiffness, a, b, place)
+    held = meetings.stiffer[item] * stiffness_between(stiffness, a, b, place)
     gap = wp.dot(normal, along(x, a, place[0]) - along(x, b, place[1])) - target
     if wp.dot(normal, apart) <= ZERO and meetings.turned[item] == 0:
         # On another side without having gone through: past an end, or a neighbour has. It is left to that.

@@ -47,6 +47,8 @@ class Meetings:
     fault: wp.array(dtype=wp.int32)  # of CROSSING, OUT_OF_PLACE and DEEP, added
     turned: wp.array(dtype=wp.int32)  # 1: the edges have been kept from going through each other
     stiffness: wp.array(dtype=wp.float64)  # [N/m] k; 0 where the pair takes no part
+    stiffer: wp.array(dtype=wp.float64)  # what k has grown by since the substep began
+    overlap: wp.array(dtype=wp.float64)  # [m] nearer than `target` when its force was last held
     pressure: wp.array(dtype=wp.float64)  # [N] held
     traction: wp.array(dtype=wp.vec3d)  # [N] held
     sliding: wp.array(dtype=wp.vec3d)  # direction of the traction of what slid in the last pass
@@ -155,6 +157,8 @@ def begin_unknown(meetings: Meetings, item: int):
     meetings.turned[item] = 0
     meetings.swings[item] = 0
     meetings.sliding[item] = wp.vec3d()
+    meetings.stiffer[item] = ONE
+    meetings.overlap[item] = ZERO
 
 
 @wp.kernel
@@ -201,6 +205,8 @@ def resume(
     meetings.swings[item] = before.swings[low]
     meetings.sliding[item] = before.sliding[low]
     meetings.stiffness[item] = before.stiffness[low]
+    meetings.stiffer[item] = before.stiffer[low]
+    meetings.overlap[item] = before.overlap[low]
     if before.stiffness[low] == ZERO:
         meetings.gap[item] = before.gap[low]
         meetings.slack[item] = before.slack[low]

@@ -21,6 +21,8 @@ wp.set_module_options({"enable_backward": False})
 
 # A contact that has changed the way it slides so often is damped for good, others for one pass.
 SWINGS = wp.constant(3)
+# A contact whose overlap has not fallen to this part since its force was last held gets so many times as stiff.
+FALLEN, STIFFER_STILL = wp.constant(wp.float64(0.5)), wp.constant(wp.float64(4.0))
 
 
 @wp.struct
@@ -102,6 +104,22 @@ def press(
         meetings.fault[item] = meetings.fault[item] | OUT_OF_PLACE
 
 
+@wp.func
+def stiffen(meetings: Meetings, item: int):
+    """A contact whose force is held gets stiffer if its overlap has not fallen enough since it last was.
+
+    The multiplier converges as (1 + k / K)^-n against a resistance K, which of taut or hooked strands is far above
+    that to a point load, from which k comes (Bertsekas 1982, Constrained Optimization and Lagrange Multiplier
+    Methods, 2.2.5).
+    """
+    overlap = -meetings.gap[item]
+    before = meetings.overlap[item]
+    if before > ZERO and overlap > wp.max(meetings.slack[item], FALLEN * before):
+        meetings.stiffness[item] = STIFFER_STILL * meetings.stiffness[item]
+        meetings.stiffer[item] = STIFFER_STILL * meetings.stiffer[item]
+    meetings.overlap[item] = wp.max(overlap, ZERO)
+
+
 @wp.kernel
 def hold(
     first: int,
@@ -131,3 +149,4 @@ def hold(
         return
     meetings.pressure[item] = pushed.pressure
     meetings.traction[item] = pushed.traction
+    stiffen(meetings, item)
