@@ -18,7 +18,7 @@ from plait.assets.stages import author_parameters
 FOLDER = Path(__file__).parent / "small_flesh"
 HEAD, JELLY, GROUND = "/World/Head/Skin", "/World/Jelly", "/World/Ground"
 # Beside the defaults, in the test too.
-SETTINGS = ("preroll=0",)
+SETTINGS = (*small_scene.SETTINGS, "preroll=0")
 JELLY_SIZE, JELLY_CELLS, DROP = 12.0, 2, 4.0  # [cm] edge and height above the ground; cells an edge
 
 

@@ -1,7 +1,7 @@
 """The small shot of the tests: twelve strands on a nodding head that brush a ball, in centimetres, Y up.
 
 `python -m plait.assets.small_scene` writes `small/shot.usda` beside this file; with `--reference` it simulates the
-shot too, with the default settings, and writes the reference cache `small/reference.usdc`.
+shot too, each strand for itself, and writes the reference cache `small/reference.usdc`.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from plait.assets.stages import make_smooth
 
 FOLDER = Path(__file__).parent / "small"
 SHOT, REFERENCE = "shot.usda", "reference.usdc"
+# Where strands meet, a rounding of the input grows to millimetres in a second: nothing to compare machines by.
+SETTINGS = ("solver.strand_contact.method=none",)
 FRAMES, RATE = 24, 24.0
 
 RADIUS, HEIGHT = 9.0, 36.0  # [cm] of the head: a capsule that stands on the origin
@@ -59,7 +61,7 @@ def open_stage(layer: Sdf.Layer) -> Usd.Stage:
     return stage
 
 
-def write_reference(folder: Path, settings: tuple[str, ...] = ()) -> Path:
+def write_reference(folder: Path, settings: tuple[str, ...] = SETTINGS) -> Path:
     """Simulates `folder`/shot.usda and packs the result into `folder`/reference.usdc, whose path it returns.
 
     settings: assignments over the defaults.
@@ -220,7 +222,9 @@ def _vectors(points: np.ndarray) -> Vt.Vec3fArray:
     return Vt.Vec3fArray([tuple(point) for point in np.round(points, DIGITS).tolist()])
 
 
-def main(description: str, folder: Path, write: Callable[[Path], Path], settings: tuple[str, ...] = ()) -> None:
+def main(
+    description: str, folder: Path, write: Callable[[Path], Path], settings: tuple[str, ...] = SETTINGS
+) -> None:
     """The command that writes a small shot into `folder`."""
     parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument("--reference", action="store_true", help="simulate it and write the reference cache too")

@@ -41,14 +41,14 @@ class ContactSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 class StrandContactSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """[strand_contact]: strands against strands.
 
-    method: 'none' (default) lets strands pass through each other; 'implicit' solves contact with the strands and
-        lets none through; 'paper' is Han 2019, 5.2 and 5.3, for comparison.
+    method: 'implicit' (default) solves contact with the strands and lets none through; 'none' lets strands pass
+        through each other; 'paper' is Han 2019, 5.2 and 5.3, for comparison.
     passes: Newton passes of the strands in contact in a substep, before it is asked to be halved; one of some of
         them counts for their part.
     geometric_passes: of 'paper', how often geometric impulses are applied in a substep.
     """
 
-    method: Literal["implicit", "paper", "none"] = "none"
+    method: Literal["implicit", "paper", "none"] = "implicit"
     passes: Count = 16
     geometric_passes: Count = 5
 

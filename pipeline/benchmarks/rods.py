@@ -21,7 +21,7 @@ from plait.pipeline.benchmarks.case import (
 from plait.pipeline.benchmarks.scenes import HAIR, Fibre, arc, rods, shaking, straight
 from plait.solver.build import build
 from plait.solver.scene import Scene
-from plait.solver.settings import Settings, StrandSettings
+from plait.solver.settings import Settings, StrandContactSettings, StrandSettings
 from plait.solver.step import Simulation
 
 GRAVITY = 9.81
@@ -30,11 +30,13 @@ EXACT = 1e-8  # Newton's tolerance where only the discretisation shall show
 
 
 def simulation_of(scene: Scene, variant: Variant, hardware: Hardware, **settings: Any) -> Simulation:
-    """settings: what else `Settings` takes."""
+    """Rods for themselves. settings: what else `Settings` takes."""
     strands = StrandSettings(
         integrator=variant.integrator, tolerance=variant.tolerance, precision=variant.precision
     )
-    return build(scene, Settings(device=hardware.device, threads=hardware.threads, strands=strands, **settings))
+    alone = {"strand_contact": StrandContactSettings(method="none")}
+    hardware_settings = {"device": hardware.device, "threads": hardware.threads}
+    return build(scene, Settings(strands=strands, **(alone | hardware_settings | settings)))
 
 
 def equilibrium(scene: Scene, variant: Variant, hardware: Hardware) -> Trial:

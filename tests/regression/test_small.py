@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
-from plait.assets.small_scene import FOLDER, REFERENCE, SHOT, write
+from plait.assets.small_scene import FOLDER, REFERENCE, SETTINGS, SHOT, write
 from plait.pipeline.compare import compare
 
 from .small_shots import assert_valid, largest, nudged, simulated
@@ -25,7 +25,7 @@ HAIR = "/World/Hair"
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory) -> Path:
-    return simulated(FOLDER / SHOT, tmp_path_factory.mktemp("small") / "out.usda")
+    return simulated(FOLDER / SHOT, tmp_path_factory.mktemp("small") / "out.usda", *SETTINGS)
 
 
 def test_the_generator_writes_the_shot_that_ships(tmp_path):
@@ -58,11 +58,11 @@ def test_the_strands_touch_the_ball(result):
 @pytest.mark.parametrize("change", ["parameters.damping=2.1", "parameters.friction=0.33", "solver.substeps=9"])
 def test_a_change_is_seen(result, tmp_path, change):
     """So that the comparison can fail: five or ten percent of one parameter, one substep more."""
-    new = simulated(FOLDER / SHOT, tmp_path / "out.usda", change)
+    new = simulated(FOLDER / SHOT, tmp_path / "out.usda", *SETTINGS, change)
     assert largest(compare(result, new, TOLERANCE), HAIR) > 10.0 * TOLERANCE
 
 
 def test_rounding_of_the_input_stays_below(result, tmp_path):
     """Every point of the drawn hair moved by a rounding of float32: a tenth of the tolerance at most."""
-    new = simulated(nudged(FOLDER / SHOT, tmp_path / SHOT, HAIR), tmp_path / "out.usda")
+    new = simulated(nudged(FOLDER / SHOT, tmp_path / SHOT, HAIR), tmp_path / "out.usda", *SETTINGS)
     assert 0.0 < largest(compare(result, new, TOLERANCE), HAIR) < 0.1 * TOLERANCE

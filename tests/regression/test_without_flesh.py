@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from plait.assets.small_scene import FOLDER, SHOT
+from plait.assets.small_scene import FOLDER, SETTINGS, SHOT
 
 # Of the small shot, taken before elastic bodies existed. Their counts were the same as well, but a machine that
 # rounds otherwise may look for contact once more.
@@ -35,14 +35,14 @@ def counted(self, kernel, count, *args, **options):
         counts[kernel.module.name + " " + kernel.key.split("__")[-1].split(".")[-1]] += 1
     launch(self, kernel, count, *args, **options)
 Launcher.launch = counted
-driver.simulate(Path(sys.argv[1]), Path(sys.argv[2]), config.load(None, []))
+driver.simulate(Path(sys.argv[1]), Path(sys.argv[2]), config.load(None, sys.argv[3:]))
 modules = [name for name in sys.modules if name.startswith("plait.solver.")]
 print(json.dumps({"launches": counts, "modules": modules}))
 """
 
 
 def test_same_launches_same_modules(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", RUN, str(FOLDER / SHOT), str(tmp_path / "out.usda")]
+    command = [sys.executable, "-c", RUN, str(FOLDER / SHOT), str(tmp_path / "out.usda"), *SETTINGS]
     done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
     seen = json.loads(done.stdout.splitlines()[-1])
     kernels: dict[str, set[str]] = {}

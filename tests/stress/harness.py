@@ -11,6 +11,7 @@ import pytest
 from plait.pipeline.benchmarks.scenes import HAIR, Fibre, FormulaMotion, rods
 from plait.solver.build import build
 from plait.solver.scene import Motion, RestShape, Scene, Surface
+from plait.solver.settings import Settings, StrandContactSettings
 from plait.solver.step import Simulation
 
 FRAME = 1.0 / 24.0
@@ -69,7 +70,7 @@ def scene_of(
 
 @dataclass
 class Play:
-    """Plays a scene; after each frame everything is finite and within reach of its root.
+    """Plays a scene, each strand for itself; after each frame everything is finite and within reach of its root.
 
     reach: no point may be further from its root than this many times its strand's arc length.
     """
@@ -79,7 +80,8 @@ class Play:
     reach: float = 1.01
 
     def __post_init__(self) -> None:
-        self.simulation: Simulation = build(self.scene)
+        alone = StrandContactSettings(method="none")
+        self.simulation: Simulation = build(self.scene, Settings(strand_contact=alone))
         hair = self.scene.strands[0]
         self.offsets = hair.offsets
         gaps = np.linalg.norm(np.diff(hair.points, axis=0, prepend=hair.points[:1]), axis=1)

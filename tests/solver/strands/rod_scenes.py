@@ -6,7 +6,7 @@ import numpy as np
 
 from plait.solver.build import build
 from plait.solver.scene import Motion, RootBinding, Scene, StaticMotion, Strands, Surface
-from plait.solver.settings import Settings
+from plait.solver.settings import Settings, StrandContactSettings
 from plait.solver.step import Simulation
 
 
@@ -74,5 +74,6 @@ def line(length: float, segments: int, direction: tuple[float, float, float] = (
 
 
 def simulate(scene: Scene, **settings: object) -> Simulation:
-    """`build` on one CPU thread unless told otherwise."""
-    return build(scene, Settings(**({"threads": 1} | settings)))
+    """`build` on one CPU thread, strands for themselves, unless told otherwise."""
+    alone = {"threads": 1, "strand_contact": StrandContactSettings(method="none")}
+    return build(scene, Settings(**(alone | settings)))
