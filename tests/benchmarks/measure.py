@@ -26,8 +26,6 @@ from plait.pipeline import bench
 from plait.pipeline.benchmarks import report, runner
 from plait.pipeline.benchmarks.case import Hardware, Variant
 from plait.pipeline.benchmarks.cases import CASES
-from plait.solver.build import build
-from plait.solver.settings import Settings
 
 RESULTS = Path(__file__).parent / "results"
 STRANDS, SEGMENTS = 10_000, 50
@@ -42,7 +40,7 @@ FLESH_EXPONENT_TO_REACH = 1.1
 def _cost(strand_count: int, threads: int, frames: int = 6) -> dict[str, Any]:
     """Of `strands_cost.wavy_hair`: us per segment and substep, Newton iterations."""
     segments = strand_count * SEGMENTS
-    simulation = build(strands_cost.wavy_hair(strand_count, SEGMENTS), Settings(threads=threads))
+    simulation = strands_cost.start(strands_cost.wavy_hair(strand_count, SEGMENTS), threads)
     try:
         best, median, processor, iterations = strands_cost.cost(simulation, segments, frames)
     finally:

@@ -17,7 +17,7 @@ import numpy as np
 
 from plait.solver.build import build
 from plait.solver.scene import Pose, RootBinding, Scene, Strands, Surface
-from plait.solver.settings import Settings, StrandSettings
+from plait.solver.settings import Settings, StrandContactSettings, StrandSettings
 from plait.solver.step import Simulation
 
 SUBSTEPS = 8
@@ -80,6 +80,12 @@ def wavy_hair(strand_count: int, segments: int, seed: int = 1) -> Scene:
     return Scene(surfaces=(scalp,), strands=(hair,))
 
 
+def start(scene: Scene, threads: int, strands: StrandSettings | None = None) -> Simulation:
+    """Of rods for themselves: contact would look for others."""
+    alone = StrandContactSettings(method="none")
+    return build(scene, Settings(threads=threads, strands=strands or StrandSettings(), strand_contact=alone))
+
+
 def cost(simulation: Simulation, segments: int, frames: int) -> tuple[float, float, float, float]:
     """Microseconds per segment and substep (best, median, best in processor time), and mean Newton iterations."""
     seconds, processor, iterations = [], [], []
@@ -111,7 +117,7 @@ def main() -> None:
         scene = wavy_hair(strand_count, options.segments)
         total = strand_count * options.segments
         for threads in [1] if options.growth else options.threads:
-            simulation = build(scene, Settings(threads=threads, strands=settings))
+            simulation = start(scene, threads, settings)
             best, median, processor, iterations = cost(simulation, total, options.frames)
             simulation.close()
             print(
