@@ -282,7 +282,7 @@ class StrandContact:
         nodes = self.solved[self._layout.node_strand]
         places = np.where(nodes[:, None], solve.position.numpy(), self._expected.numpy())
         if self._in_contact:
-            meets, self._expected = self.contacts.find_again(self._start, self._expected, places)
+            meets, self._expected = self.contacts.find_again(self._start, self._expected, places, elsewhere)
             self._meets = meets or self._meets
             self.contacts.resume(elsewhere)
         solve.take(self._near)

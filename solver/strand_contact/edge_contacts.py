@@ -34,6 +34,10 @@ from plait.solver.strands.layout import Layout
 PAIR_WORK, LOCATE_WORK, LIST_WORK = 2, 6, 3
 # The most room of a node over the least.
 MOST_ROOM = 4.0
+# Where more than this part of the nodes have strayed, all pairs are found again.
+MANY = 0.3
+# Pairs are found again for nodes that have used this part of their room.
+STRAYED = 0.25
 MEETING_ARRAYS = {
     "apart": wp.vec3d,
     "drawn": wp.float64,
@@ -144,17 +148,26 @@ class EdgeContacts:
             expected = self._sought
         return self.pairs.find(held.position, expected, self.room, least_room), expected
 
-    def find_again(self, start: wp.array, expected: wp.array, places: np.ndarray) -> tuple[bool, wp.array]:
-        """The same towards `places`, (node_count, 3) [m], with more room for what is not where it was `expected`;
-        what is known of pairs is kept."""
+    def find_again(
+        self, start: wp.array, expected: wp.array, places: np.ndarray, everywhere: bool
+    ) -> tuple[bool, wp.array]:
+        """The same towards `places`, (node_count, 3) [m], of what has strayed from where it was `expected`, with
+        more room, or of all `everywhere`; what is known of pairs is kept."""
         self._allocate()
         self._meetings, self._before = self._before, self._meetings
         self._room, self._before_room = self._before_room, self._room
         self._before.edges, self._before_first = wp.clone(self.pairs.pairs), wp.clone(self.pairs.first_pair)
-        self._places.assign(places)
+        before = expected.numpy()
+        stray = np.linalg.norm(places - before, axis=1) > STRAYED * np.maximum(self.room.numpy(), self.least_room)
+        everywhere = everywhere or stray.mean() > MANY
+        self._places.assign(places if everywhere else np.where(stray[:, None], places, before))
         self.make_room(expected, self._places)
         wp.copy(self._sought, self._places)
-        return self.pairs.find(start, self._sought, self.room, self.least_room), self._sought
+        found = [start, self._sought, self.room, self.least_room]
+        if everywhere:
+            return self.pairs.find(*found), self._sought
+        stray[:-1] |= stray[1:]  # an edge, if either of its nodes has
+        return self.pairs.find_again(*found, stray), self._sought
 
     def make_room(self, expected: wp.array, position: wp.array) -> None:
         """What has strayed from where it was expected is given room to do so again."""

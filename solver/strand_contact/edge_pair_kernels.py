@@ -192,6 +192,8 @@ class Search:
     motion: Motion
     near_only: bool  # only those of pairs whose boxes overlap that may come near by their own distance
     node_count: int
+    again: bool  # only pairs with a `sought` edge, which lists those with edges before it too
+    sought: wp.array(dtype=wp.int32)  # (node_count,)
 
 
 @wp.struct
@@ -207,12 +209,13 @@ class Partners:
 
 @wp.func
 def gather_candidates(search: Search, a: int, first: int, last: int, list_out: wp.array(dtype=wp.int32)) -> int:
-    """How many edges behind edge a have boxes that overlap its own; lists them from `first`.
+    """How many edges behind edge a, or any if `again`, have boxes that overlap its own; lists them from `first`.
 
     The list's places end before `last`, which takes what does not fit. Without branches in the loop: they would be
     foretold wrongly about as often as not, which costs more than all the rest.
     """
     count = wp.int32(0)
+    behind = wp.where(search.again, 0, -1)
     for number in range(search.entries.first[a], search.entries.first[a + 1]):
         place = search.entries.place[number]
         own = search.entries.entry[place]
@@ -228,9 +231,9 @@ def gather_candidates(search: Search, a: int, first: int, last: int, list_out: w
             # No lane borrows from its guard bit where it is at least a's.
             apart = (((other.extent | GUARDS) - extent) & GUARDS) ^ GUARDS
             # Other columns; columns in which, along a side, neither box begins: the pair counts in another one;
-            # boxes that end before a's begins; edges not behind a.
+            # boxes that end before a's begins; edges not behind a, unless those count too.
             elsewhere = (other.column ^ own.column) | (((other.tag | own.tag) & 3) ^ 3)
-            elsewhere |= ((other.end - key) | (other.tag - (own.tag | 3) - 1)) >> 31
+            elsewhere |= ((other.end - key) | ((other.tag - (own.tag | 3) - 1) & behind)) >> 31
             list_out[wp.min(first + count, last)] = other.tag >> 2
             count += wp.where((apart | wp.uint64(elsewhere)) == NO_BITS, 1, 0)
             slot += 1
@@ -271,19 +274,27 @@ def come_near(search: Search, a: int, b: int) -> bool:
 
 @wp.func
 def keep_partners(search: Search, a: int, first: int, count: int, list_out: wp.array(dtype=wp.int32)) -> int:
-    """How many of `count` candidates behind edge a are its partners; sorts them to the front."""
+    """How many of `count` candidates of edge a are its partners; sorts them to the front.
+
+    Of two edges that are both sought again the first one lists the other.
+    """
+    begin = search.edges.first_node[search.edges.strand[a]]
     end = search.edges.first_node[search.edges.strand[a] + 1]
     prescribed = search.edges.prescribed[a] == 1
     kept = int(first)
     for candidate in range(first, first + count):
         b = list_out[candidate]
-        meets = b >= end
+        meets = b >= end or b < begin
+        low = wp.min(a, b)
+        high = wp.max(a, b)
         if not meets:
-            meets = b > a + 1 and may_meet_itself(search.edges, search.start, search.end, a, b)
+            meets = high > low + 1 and may_meet_itself(search.edges, search.start, search.end, low, high)
         elif prescribed:
             meets = search.edges.prescribed[b] == 0
+        if b < a and meets:
+            meets = search.sought[b] == 0
         if meets and search.near_only:
-            meets = come_near(search, a, b)
+            meets = come_near(search, low, high)
         if meets:
             slot = int(kept)
             while slot > first and list_out[slot - 1] > b:
@@ -302,7 +313,9 @@ def list_partners(first: int, search: Search, partners_out: Partners):
     slot = begin
     missing = wp.int32(0)
     for edge in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, search.node_count)):
-        count = gather_candidates(search, edge, slot, last, partners_out.edge)
+        count = wp.int32(0)
+        if not search.again or search.sought[edge] != 0:
+            count = gather_candidates(search, edge, slot, last, partners_out.edge)
         partners_out.first[edge] = slot
         if slot + count > last:
             missing += count
@@ -319,17 +332,26 @@ def write_pairs(
     partners: Partners,
     first_pair: wp.array(dtype=wp.int32),
     pairs_out: wp.array(dtype=wp.vec2i),
-    second_out: wp.array(dtype=wp.int32),
-    number_out: wp.array(dtype=wp.int32),
 ):
-    """Pairs in the order of their edges; their second edges and numbers, to be sorted."""
+    """Pairs in the order of their edges."""
     edge = first + wp.tid()
     begin = first_pair[edge]
     for k in range(partners.count[edge]):
         other = partners.edge[partners.first[edge] + k]
         pairs_out[begin + k] = wp.vec2i(edge, other)
-        second_out[begin + k] = other
-        number_out[begin + k] = begin + k
+
+
+@wp.kernel(enable_backward=False)
+def number_pairs(
+    first: int,
+    pairs: wp.array(dtype=wp.vec2i),
+    second_out: wp.array(dtype=wp.int32),
+    number_out: wp.array(dtype=wp.int32),
+):
+    """The pairs' second edges and their numbers, to be sorted."""
+    pair = first + wp.tid()
+    second_out[pair] = pairs[pair][1]
+    number_out[pair] = pair
 
 
 @wp.kernel(enable_backward=False)

@@ -23,6 +23,7 @@ from plait.solver.strand_contact.edge_pair_kernels import (
     find_seconds,
     gather_entries,
     list_partners,
+    number_pairs,
     write_entries,
     write_incident,
     write_pairs,
@@ -124,7 +125,50 @@ class EdgePairs:
         start, end: (node_count,) vec3d [m] world.  room: (node_count,) float64 [m], beyond the reaches,
         and no less than `least_room`.
         """
-        motion = _common_motion(start, end)
+        near = self._bound(start, end, room, least_room)
+        if not near.any():
+            self._clear()
+            return False
+        search = self._prepare(start, end, near)
+        self._list_partners(search)
+        self.count = count = _scan(self._partners.count, self.first_pair)
+        if count == 0:
+            self._clear()
+            return False
+        self.pairs = self._buffer("pairs", wp.vec2i, count)[:count]
+        inputs = [self._partners, self.first_pair]
+        self._launcher.launch(write_pairs, self._node_count, inputs, [self.pairs], work_per_item=NUMBER_WORK)
+        self._index()
+        return True
+
+    def find_again(
+        self, start: wp.array, end: wp.array, room: wp.array, least_room: float, sought: np.ndarray
+    ) -> bool:
+        """The same where only edges flagged in `sought`, (node_count,) bool, have another end, or more room."""
+        pairs = self.pairs.numpy()
+        pairs = pairs[~sought[pairs].any(axis=1)].astype(np.int64)
+        near = self._bound(start, end, room, least_room)
+        if near.any():
+            search = self._prepare(start, end, near)
+            search.again = True
+            search.sought = wp.array(sought.astype(np.int32), dtype=wp.int32, device=self._launcher.device)
+            self._list_partners(search)
+            pairs = np.concatenate([pairs, self._listed(np.flatnonzero(sought))])
+            pairs = pairs[np.argsort(pairs[:, 0] * self._node_count + pairs[:, 1], kind="stable")]
+        self.count = count = len(pairs)
+        if count == 0:
+            self._clear()
+            return False
+        self.pairs = self._buffer("pairs", wp.vec2i, count)[:count]
+        self.pairs.assign(pairs.astype(np.int32))
+        first = np.searchsorted(pairs[:, 0], np.arange(self._node_count + 1))
+        self.first_pair.assign(first.astype(np.int32))
+        self._index()
+        return True
+
+    def _bound(self, start: wp.array, end: wp.array, room: wp.array | None, least_room: float) -> np.ndarray:
+        """Boxes of edges and strands; (strand_count,) bool, strands that take part in the search."""
+        self._motion = motion = _common_motion(start, end)
         self._edges.room = self._no_room if room is None else room
         self._edges.least_room = least_room
         # In a thick of strands, the search itself is cheaper than asking which take part.
@@ -134,15 +178,15 @@ class EdgePairs:
         self._launcher.launch(
             bound_strands, self._strand_count, inputs, [self._boxes, self._strand_boxes], work_per_item=work
         )
-        near = self._strands_in_reach() if asked else np.ones(self._strand_count, dtype=bool)
-        if not near.any():
-            self._clear()
-            return False
+        return self._strands_in_reach() if asked else np.ones(self._strand_count, dtype=bool)
+
+    def _prepare(self, start: wp.array, end: wp.array, near: np.ndarray) -> Search:
+        """A search among the edges of strands that are `near`."""
         search = Search()
-        search.edges, search.start, search.end, search.motion = self._edges, start, end, motion
-        search.near_only = self._near_only
+        search.edges, search.start, search.end, search.motion = self._edges, start, end, self._motion
+        search.near_only, search.again = self._near_only, False
         search.entries, search.node_count = self._enter(self._lay_columns(near), near), self._node_count
-        return self._collect(search)
+        return search
 
     # -- which strands -------------------------------------------------------------------------------------
 
@@ -233,27 +277,26 @@ class EdgePairs:
                 return
             self._room[short] = needed[short] + needed[short] // 2
 
-    def _collect(self, search: Search) -> bool:
-        """Partners listed, then numbered as pairs, then given to both their edges."""
-        self._list_partners(search)
-        launch, partners, nodes = self._launcher.launch, self._partners, self._node_count
-        self.count = count = _scan(partners.count, self.first_pair)
-        if count == 0:
-            self._clear()
-            return False
-        self.pairs = self._buffer("pairs", wp.vec2i, count)[:count]
+    def _listed(self, edges: np.ndarray) -> np.ndarray:
+        """(n, 2) int64, the pairs of `edges` with the partners that they list, the lower edge first."""
+        first, count = self._partners.first.numpy()[edges], self._partners.count.numpy()[edges]
+        within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        partners = self._partners.edge.numpy()[np.repeat(first, count) + within]
+        return np.sort(np.stack([np.repeat(edges, count), partners], axis=1), axis=1)
+
+    def _index(self) -> None:
+        """Gives the pairs to both their edges."""
+        launch, nodes, count = self._launcher.launch, self._node_count, self.count
         self.incident = self._buffer("incident", wp.int32, 2 * count)[: 2 * count]
         # Sorting takes twice the room.
         second, number = (self._buffer(name, wp.int32, 2 * count) for name in ("second", "number"))
-        outputs = [self.pairs, second, number]
-        launch(write_pairs, nodes, [partners, self.first_pair], outputs, work_per_item=NUMBER_WORK)
+        launch(number_pairs, count, [self.pairs], [second, number])
         wp.utils.radix_sort_pairs(second, number, count)
         launch(find_seconds, count + 1, [count, second], [self._first_second])
         inputs, outputs = [self.first_pair, self._first_second, number], [self.first, self.incident]
         launch(write_incident, nodes, inputs, outputs, work_per_item=NUMBER_WORK)
         first = self.first.numpy()[self._first_node]
         self.near = first[1:] > first[:-1]
-        return True
 
     # -- memory --------------------------------------------------------------------------------------------
 

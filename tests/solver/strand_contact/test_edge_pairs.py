@@ -94,6 +94,32 @@ def test_nodes_have_room_of_their_own():
     assert listed < found(edge_pairs(layout), start, end, margin.max())
 
 
+def test_found_again_are_the_pairs_of_what_went_elsewhere():
+    """A tenth of the nodes end elsewhere, with more room: pairs with one of their edges are those of a new search,
+    the others as they were, and all are sorted and known to their edges as ever.
+    """
+    layout, random = tangle(), np.random.default_rng(6)
+    start, count = layout.position, layout.node_count
+    end = start + 1e-3 * random.standard_normal(start.shape)
+    pairs = edge_pairs(layout)
+    before = found(pairs, start, end)
+    elsewhere = random.random(count) < 0.1
+    end[elsewhere] += 3e-3 * random.standard_normal((int(elsewhere.sum()), 3))
+    margin = np.where(elsewhere, 2.0 * MARGIN, MARGIN)
+    sought = elsewhere | np.append(elsewhere[1:], False)
+    arrays = [wp.array(x, dtype=wp.vec3d) for x in (start, end)]
+    assert pairs.find_again(*arrays, wp.array(0.5 * margin, dtype=wp.float64), 0.0, sought)
+    rows = [tuple(row) for row in pairs.pairs.numpy().tolist()]
+    new = found(edge_pairs(layout), start, end, margin)
+    of_sought = {pair for pair in new if sought[list(pair)].any()}
+    assert of_sought - before and {pair for pair in before if sought[list(pair)].any()} - of_sought
+    assert rows == sorted(of_sought | {pair for pair in before if not sought[list(pair)].any()})
+    first, incident = pairs.first.numpy(), pairs.incident.numpy()
+    for edge in range(count):
+        own = [rows[i // 2][1 - i % 2] for i in incident[first[edge] : first[edge + 1]]]
+        assert own == sorted({a + b - edge for a, b in rows if edge in (a, b)})
+
+
 def test_none_is_beyond_the_padding():
     """Every pair found has swept boxes, seen from the strands' mean motion, that overlap when so padded.
 
