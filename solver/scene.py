@@ -20,6 +20,8 @@ import numpy as np
 RestShape = Literal["sagfree", "authored"]
 SkinningMethod = Literal["linear", "dual-quaternion"]
 ElasticLaw = Literal["fixed-corotated", "neo-hookean", "stvk"]
+ShapeKind = Literal["sphere", "capsule", "cylinder", "cone", "box"]
+JointKind = Literal["fixed", "revolute", "spherical", "prismatic"]
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,21 @@ class BlendShapes:
 
 
 @dataclass(frozen=True)
+class Shape:
+    """The shape that a surface's triangles approximate: rigid bodies touch it instead of the triangles.
+
+    size: (3,) float64 [m]: of a 'sphere' the radius first, the others unused; of a 'capsule', 'cylinder' and 'cone'
+        the radius and half the height (of a capsule that between the centres of its caps), along z, the cone's
+        apex at +z; of a 'box' half its edges.
+    frame: (4, 4) float64, rigid, from the shape's own space to that of the surface's rest points.
+    """
+
+    kind: ShapeKind
+    size: np.ndarray
+    frame: np.ndarray = field(default_factory=lambda: np.eye(4))
+
+
+@dataclass(frozen=True)
 class Surface:
     """A triangle surface moved by the animation or by a body: a collider, what strands grow on, or both.
 
@@ -120,6 +137,8 @@ class Surface:
     friction: Coulomb coefficient; None leaves it to what touches it.
     body: index into `Scene.bodies` of the elastic body whose skin this is: its points then go where that body
         takes them, and `motion`, `skinning` and `blend_shapes` only say where it starts.
+    rigid: index into `Scene.rigid_bodies` of the rigid body that carries this surface, in the same way.
+    shape: of a surface that a rigid body carries; None where the triangles are what is meant.
     """
 
     name: str
@@ -132,6 +151,8 @@ class Surface:
     thickness: float = 0.0
     friction: float | None = None
     body: int | None = None
+    rigid: int | None = None
+    shape: Shape | None = None
 
 
 @dataclass(frozen=True)
@@ -180,6 +201,55 @@ class TetBody:
     mass_damping: float = 0.0
     stiffness_damping: float = 0.0
     restitution: float = 0.0
+
+
+@dataclass(frozen=True)
+class RigidBody:
+    """A body that moves without deforming: a prop.
+
+    surfaces: indices into `Scene.surfaces` of all that is seen of it and touches, each with `rigid` this body; their
+        rest points lie in one space, the body's rest space. Friction is told by each surface.
+    mass: [kg].  center_of_mass: (3,) float64 [m], in rest space.
+    inertia: (3, 3) float64 [kg m2], about the centre of mass, along the axes of rest space.
+    motion: rest space to world, rigid, of which only the pose at the start counts.
+    velocity: (3,) float64 [m/s], of the centre of mass, and angular_velocity: (3,) float64 [rad/s], world, at the start.
+    restitution: of its impacts, 0 to 1; of a pair the larger counts.
+    """
+
+    name: str
+    surfaces: tuple[int, ...]
+    mass: float
+    center_of_mass: np.ndarray
+    inertia: np.ndarray
+    motion: Motion = field(default_factory=StaticMotion)
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    angular_velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    restitution: float = 0.0
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Holds two rigid bodies to each other, or one to a place.
+
+    bodies: indices into `Scene.rigid_bodies`; None for the world, at most once.
+    frames: of each side the joint's frame, (4, 4) float64, rigid, in that body's rest space; for the world in that of
+        `motion`. What is held together: of 'fixed' the whole frames; of 'revolute' origins and z axes, turning about
+        z; of 'spherical' origins; of 'prismatic' all but the way along z.
+    limits: lower and upper, of the second frame against the first: of 'revolute' the turn about z, within half a turn
+        [rad]; of 'prismatic' the way along z [m]. None: no limits.
+    cone: of 'spherical', how far the second z axis may lean from the first [rad], above 0; None: any way.
+    motion: carries the world's frame.
+    collide: whether the two bodies touch each other besides.
+    """
+
+    name: str
+    kind: JointKind
+    bodies: tuple[int | None, int | None]
+    frames: tuple[np.ndarray, np.ndarray]
+    limits: tuple[float, float] | None = None
+    cone: float | None = None
+    motion: Motion = field(default_factory=StaticMotion)
+    collide: bool = False
 
 
 @dataclass(frozen=True)
@@ -284,6 +354,7 @@ class Scene:
     """All that a run needs to know of a shot.
 
     gravity: (3,) float64 [m/s2], world.  origin: (3,) float64 [m]: shot world = scene world + origin.
+    filtered: pairs of indices into `surfaces`, at least one carried by a rigid body, that do not touch each other.
     """
 
     surfaces: tuple[Surface, ...] = ()
@@ -292,3 +363,6 @@ class Scene:
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     bodies: tuple[TetBody, ...] = ()
     attachments: tuple[Attachment, ...] = ()
+    rigid_bodies: tuple[RigidBody, ...] = ()
+    joints: tuple[Joint, ...] = ()
+    filtered: tuple[tuple[int, int], ...] = ()

@@ -69,6 +69,24 @@ class FleshSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     rpic_damping: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0
 
 
+class RigidSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """[rigid]: the solve of rigid bodies.
+
+    tolerance: a solve stops when it changes no speed by more than this part of the fastest body's, or of what
+        gravity gives in a substep.
+    iterations: sweeps over an island's contacts and joints, at most.  passes: how often what turning adds is found
+        anew, at most.
+    friction: Coulomb coefficient where neither of two bodies tells.
+    exit_speed: [m/s] what overlaps, or is drawn apart at a joint, is led back no faster than this.
+    """
+
+    tolerance: Positive = 1e-6
+    iterations: Count = 200
+    passes: Count = 10
+    friction: Annotated[float, msgspec.Meta(ge=0.0, lt=FINITE)] = 0.5
+    exit_speed: Positive = 0.5
+
+
 class GridSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """[grid]: contact of elastic bodies through the grid.
 
@@ -102,3 +120,4 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     strand_contact: StrandContactSettings = StrandContactSettings()
     flesh: FleshSettings = FleshSettings()
     grid: GridSettings = GridSettings()
+    rigid: RigidSettings = RigidSettings()

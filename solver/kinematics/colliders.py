@@ -36,8 +36,8 @@ class Collider:
 
     @property
     def carried(self) -> bool:
-        """Whether it is the skin of an elastic body."""
-        return self.surface.body is not None
+        """Whether an elastic or a rigid body takes it along."""
+        return self.surface.body is not None or self.surface.rigid is not None
 
     @property
     def moves(self) -> bool:

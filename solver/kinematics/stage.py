@@ -149,11 +149,10 @@ class KinematicsStage:
 
     def skins(self) -> dict[int, Callable[[wp.array, wp.array], None]]:
         """What places the points of each surface that a body carries; none before there are bodies."""
-        tets = self.model.parts.get("tets")
-        if tets is None:
-            return {}
+        tets, rigid = self.model.parts.get("tets"), self.model.parts.get("rigid")
         carried = [(index, s.body) for index, s in enumerate(self._surfaces) if s.body is not None]
-        return {index: partial(tets.place_skin, body) for index, body in carried}
+        of_tets = {index: partial(tets.place_skin, body) for index, body in carried} if tets is not None else {}
+        return of_tets | (rigid.skins() if rigid is not None else {})
 
     def _place(self, collider: Collider, buffer: int, time: float) -> None:
         self._placed.add(collider.index)

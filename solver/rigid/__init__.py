@@ -1,0 +1,1 @@
+"""Rigid bodies: free motion, contact with friction, joints."""

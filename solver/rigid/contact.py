@@ -1,0 +1,216 @@
+"""Contact of rigid bodies with each other and with what the animation moves, and joints: host side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from plait.solver.model import Interval, Model
+from plait.solver.rigid.find_kernels import (
+    Animated,
+    Boxes,
+    Contacts,
+    Kept,
+    bound_geoms,
+    find_contacts,
+    keep_contacts,
+)
+from plait.solver.rigid.geoms import GeomTable
+from plait.solver.rigid.solve_kernels import Effort, Islands, Rows, find_islands, solve_islands
+from plait.solver.state import State
+
+if TYPE_CHECKING:
+    from plait.solver.rigid.stage import RigidStage
+
+CONTACTS = {
+    "geom": wp.int32,
+    "feature": wp.int32,
+    "side": wp.float64,
+    "body": wp.vec2i,
+    "core_a": wp.vec3d,
+    "core_b": wp.vec3d,
+    "arm_a": wp.vec3d,
+    "arm_b": wp.vec3d,
+    "lever_a": wp.vec3d,
+    "lever_b": wp.vec3d,
+    "normal": wp.vec3d,
+    "gap": wp.float64,
+    "friction": wp.float64,
+    "restitution": wp.float64,
+    "impulse": wp.vec3d,
+}
+KEPT = ("geom", "feature", "side", "impulse")
+ROWS = {
+    "axes": wp.mat33d,
+    "response": wp.vec4d,
+    "bias": wp.vec3d,
+    "impulse": wp.vec3d,
+    "least": wp.float64,
+    "struck": wp.float64,
+    "push": wp.float64,
+}
+# Cost of looking for a geom's contacts, and of an island's solve, in units of work; see `Launcher.launch`.
+FIND_WORK, SOLVE_WORK = 400, 2000
+
+
+class RigidContact:
+    """Finds contacts, gathers islands and solves them: a few launches a substep, recorded once.
+
+    unconverged: islands and substeps of the frame whose last sweep still changed more than was asked.
+    """
+
+    def __init__(self, model: Model, state: State, stage: RigidStage) -> None:
+        self._model, self._stage, self._launcher = model, stage, model.launcher
+        self._kinematics = model.parts["kinematics"]
+        self.table = GeomTable(model, [body.center_of_mass for body in stage.bodies])
+        self._reach = self._reach_of_bodies()
+        device = self._launcher.device
+        slots, geoms = int(self.table.first_slot[-1]), len(self.table.surfaces)
+        self.contacts, self._kept, self._rows = Contacts(), Kept(), Rows()
+        for name, dtype in CONTACTS.items():
+            setattr(self.contacts, name, wp.zeros(slots, dtype=dtype, device=device))
+        for name in KEPT:
+            setattr(self._kept, name, wp.zeros(slots, dtype=CONTACTS[name], device=device))
+            state.arrays[f"rigid/contact_{name}"] = getattr(self._kept, name)
+        for name, dtype in ROWS.items():
+            setattr(self._rows, name, wp.zeros(slots, dtype=dtype, device=device))
+        self.contacts.count = wp.zeros(geoms, dtype=wp.int32, device=device)
+        self._kept.count = wp.zeros(geoms, dtype=wp.int32, device=device)
+        state.arrays["rigid/contact_count"] = self._kept.count
+        self._boxes = self._lay_out_boxes(geoms)
+        self._islands = self._lay_out_islands(slots)
+        self._animated = [self._lay_out_animated(buffer) for buffer in range(2)]
+        self._active = np.zeros(len(self.table.colliders), dtype=np.int32)
+        self._planted = np.zeros(len(self.table.colliders), dtype=bool)
+        self._runs: list[list[Callable[[], None]] | None] = [None, None]
+        self._keep = self._launcher.prepare(keep_contacts, geoms, [self.table.geoms, self.contacts, self._kept])
+        self._found = False
+        self.unconverged = 0
+
+    # -- set-up --------------------------------------------------------------------------------------------
+
+    def _reach_of_bodies(self) -> np.ndarray:
+        """(body_count,) [m] from the centre of mass to what is furthest, and contact's margin."""
+        geoms = self.table.geoms
+        reach = np.zeros(len(self._stage.bodies))
+        body = geoms.body.numpy()
+        held = body >= 0
+        np.maximum.at(
+            reach, body[held], (geoms.reach.numpy() + geoms.margin.numpy() + geoms.thickness.numpy())[held]
+        )
+        return reach
+
+    def _lay_out_boxes(self, count: int) -> Boxes:
+        boxes, device = Boxes(), self._launcher.device
+        boxes.lower = wp.zeros(count, dtype=wp.vec3d, device=device)
+        boxes.upper = wp.zeros(count, dtype=wp.vec3d, device=device)
+        boxes.travel = wp.zeros(count, dtype=wp.float64, device=device)
+        return boxes
+
+    def _lay_out_islands(self, slots: int) -> Islands:
+        islands, bodies, device = Islands(), len(self._stage.bodies), self._launcher.device
+
+        def indices(count: int) -> wp.array:
+            return wp.zeros(count, dtype=wp.int32, device=device)
+
+        islands.root, islands.body = indices(bodies), indices(bodies)
+        islands.body_begin, islands.contact_begin, islands.joint_begin = (indices(bodies + 1) for _ in range(3))
+        islands.contact, islands.joint = indices(slots), indices(self._stage.joints.count)
+        return islands
+
+    def _lay_out_animated(self, start: int) -> Animated:
+        """With the substep's start in that of the two buffers."""
+        animated, device, items = Animated(), self._launcher.device, self.table.colliders
+        animated.active = wp.zeros(len(items), dtype=wp.int32, device=device)
+        animated.mesh = wp.zeros(len(items), dtype=wp.uint64, device=device)
+        ranges = np.array([(item.points.start, item.points.stop) for item in items]).reshape(-1, 2)
+        animated.points = wp.array(ranges, dtype=wp.vec2i, device=device)
+        colliders = self._kinematics.colliders
+        if colliders is not None:
+            animated.points_start, animated.points_end = colliders.points[start], colliders.points[1 - start]
+            animated.triangles = colliders.triangles
+        return animated
+
+    def _record(self, buffer: int) -> list[Callable[[], None]]:
+        """The launches of a substep that starts in that buffer."""
+        stage, prepare = self._stage, self._launcher.prepare
+        masses, start, work, step = stage.parts
+        geoms, animated = self.table.geoms, self._animated[buffer]
+        settings = self._model.settings.rigid
+        effort = Effort()
+        effort.tolerance, effort.exit_speed = settings.tolerance, settings.exit_speed
+        effort.sweeps, effort.passes = settings.iterations, settings.passes
+        joints, bodies = stage.joints.joints, len(stage.bodies)
+        islands, contacts, motion = self._islands, self.contacts, stage.motion
+        return [
+            prepare(
+                bound_geoms, geoms.count, [step, geoms, animated, motion, start, self._boxes], work_per_item=20
+            ),
+            prepare(
+                find_contacts,
+                geoms.count,
+                [step, geoms, animated, motion, start, self._boxes, self._kept, contacts],
+                work_per_item=FIND_WORK,
+            ),
+            prepare(find_islands, 1, [geoms, contacts, joints, stage.joints.count, bodies, islands]),
+            prepare(
+                solve_islands,
+                bodies,
+                [step, effort, geoms, islands, contacts, self._rows, joints, masses, motion, start, work],
+                work_per_item=SOLVE_WORK,
+            ),
+        ]
+
+    # -- a substep -----------------------------------------------------------------------------------------
+
+    def begin_frame(self) -> None:
+        self.unconverged = 0
+
+    def solve(self, substep: Interval) -> None:
+        """Gives the bodies the impulses of a substep, whose forces they have taken up."""
+        self._keep_found()
+        self._face(substep)
+        buffer = self._kinematics.start
+        if self._runs[buffer] is None:
+            self._runs[buffer] = self._record(buffer)
+        for run in self._runs[buffer]:
+            run()
+        self._found = True
+        self.unconverged += int((self._stage.parts[2].lack.numpy() > 1.0).sum())
+
+    def retract(self) -> None:
+        """As before `solve`."""
+        self._found = False
+
+    def _keep_found(self) -> None:
+        if self._found:
+            self._keep()
+            self._found = False
+
+    def _face(self, substep: Interval) -> None:
+        """Notes which animated surfaces are in reach."""
+        if not self.table.colliders:
+            return
+        stage = self._stage
+        position, velocity = stage.position.numpy(), stage.velocity.numpy()
+        way = self._reach[:, None] + substep.length * np.abs(velocity)
+        near = self._kinematics.colliders_near((position - way).min(axis=0), (position + way).max(axis=0), substep)
+        held = {collider.index for collider in near}
+        active = np.array([item.index in held for item in self.table.colliders])
+        if (active & ~self._planted).any():
+            self._planted |= active
+            for buffer, animated in enumerate(self._animated):
+                ids = [item.meshes[buffer].id if item.meshes else 0 for item in self.table.colliders]
+                animated.mesh.assign(np.array(ids, dtype=np.uint64))
+        if (active != self._active).any():
+            self._active = active.astype(np.int32)
+            for animated in self._animated:
+                animated.active.assign(self._active)
+
+    def end_frame(self) -> dict[str, Any]:
+        """Contacts in the last substep."""
+        self._keep_found()
+        return {"contacts": int(self._kept.count.numpy().sum())}

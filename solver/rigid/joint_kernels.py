@@ -1,0 +1,443 @@
+"""Joints between rigid bodies: what they hold, in float64.
+
+A joint is a condition on where the substep ends: rows along the first frame's axes at the start, three for the places
+and three for the turns, and their residuals at the end, found anew until they vanish (Newton's method with the
+Jacobian of the start). So joints do not drift. Positions being met and velocities taken from the way, it is the scheme
+SHAKE (Ryckaert, Ciccotti and Berendsen 1977), which is symplectic.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from plait.solver.rigid.find_kernels import Start
+from plait.solver.rigid.motion_kernels import ONE, ZERO, Masses, Motion
+
+wp.set_module_options({"enable_backward": False})
+
+FIXED = wp.constant(0)
+REVOLUTE = wp.constant(1)
+SPHERICAL = wp.constant(2)
+PRISMATIC = wp.constant(3)
+TWO = wp.constant(wp.float64(2.0))
+
+vec6d = wp.types.vector(length=6, dtype=wp.float64)
+mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
+
+
+@wp.struct
+class Joints:
+    """One entry a joint; see `plait.solver.scene.Joint`."""
+
+    body: wp.array(dtype=wp.vec2i)  # -1: the world
+    kind: wp.array(dtype=wp.int32)
+    place: wp.array(
+        dtype=wp.vec3d
+    )  # (2 joint_count,) [m] about the centre of mass; of the world at the substep's end
+    turn: wp.array(dtype=wp.quatd)  # (2 joint_count,)
+    lower: wp.array(dtype=wp.float64)  # [rad] or [m]; -inf: no limit
+    upper: wp.array(dtype=wp.float64)
+    impulse: wp.array(dtype=vec6d)  # [kg m/s], [kg m2/s] on the second body, along the rows
+    limit_impulse: wp.array(dtype=wp.vec2d)  # at the lower limit, at the upper: not negative
+    # of a substep
+    axes: wp.array(dtype=wp.mat33d)  # columns
+    lever_a: wp.array(dtype=wp.vec3d)  # [m]
+    lever_b: wp.array(dtype=wp.vec3d)
+    inverse: wp.array(dtype=mat66d)  # of the rows' response
+    bias: wp.array(dtype=vec6d)  # [m/s], [1/s] what the rows' speeds lack
+    limit_axis: wp.array(dtype=wp.vec3d)
+    limit_bias: wp.array(dtype=wp.vec2d)  # distance left to each limit over the length of the substep
+    error: wp.array(dtype=vec6d)  # [m], [rad] at the start, as far as it is to stay
+
+
+@wp.struct
+class JointPose:
+    """The two frames of a joint, world."""
+
+    place_a: wp.vec3d  # [m]
+    place_b: wp.vec3d
+    turn_a: wp.quatd
+    turn_b: wp.quatd
+
+
+@wp.func
+def holds(kind: int, row: int) -> bool:
+    """Whether a joint holds a row."""
+    if kind == SPHERICAL:
+        return row < 3
+    if kind == REVOLUTE:
+        return row != 5
+    if kind == PRISMATIC:
+        return row != 2
+    return True
+
+
+@wp.func
+def joint_pose(joints: Joints, j: int, x_a: wp.vec3d, q_a: wp.quatd, x_b: wp.vec3d, q_b: wp.quatd) -> JointPose:
+    """With the bodies at x and q; for the world x = 0, q = 1."""
+    out = JointPose()
+    out.place_a = x_a + wp.quat_rotate(q_a, joints.place[2 * j])
+    out.place_b = x_b + wp.quat_rotate(q_b, joints.place[2 * j + 1])
+    out.turn_a = q_a * joints.turn[2 * j]
+    out.turn_b = q_b * joints.turn[2 * j + 1]
+    return out
+
+
+@wp.func
+def column(m: wp.mat33d, k: int) -> wp.vec3d:
+    return wp.vec3d(m[0, k], m[1, k], m[2, k])
+
+
+@wp.func
+def between(pose: JointPose) -> wp.quatd:
+    """The second frame's turn against the first, the shorter way."""
+    q = wp.quat_inverse(pose.turn_a) * pose.turn_b
+    if q[3] < ZERO:
+        q = wp.quatd(-q[0], -q[1], -q[2], -q[3])
+    return q
+
+
+@wp.func
+def joint_error(kind: int, pose: JointPose) -> vec6d:
+    """[m], [rad] how far the second frame is from where it is held, along the first's axes."""
+    out = vec6d()
+    apart = wp.quat_rotate_inv(pose.turn_a, pose.place_b - pose.place_a)
+    q = between(pose)
+    turn = TWO * wp.vec3d(q[0], q[1], q[2])
+    if kind == REVOLUTE:
+        # The second z axis as the first frame sees it: its tilt alone.
+        z = wp.quat_rotate(q, wp.vec3d(ZERO, ZERO, ONE))
+        turn = wp.vec3d(-z[1], z[0], ZERO)
+    for k in range(3):
+        if holds(kind, k):
+            out[k] = apart[k]
+        if holds(kind, 3 + k):
+            out[3 + k] = turn[k]
+    return out
+
+
+@wp.struct
+class LimitState:
+    value: wp.float64  # [rad] or [m]
+    axis: wp.vec3d  # of what changes it, world
+
+
+@wp.func
+def limit_state(kind: int, pose: JointPose) -> LimitState:
+    """What a joint's limits bound."""
+    out = LimitState()
+    z_a = wp.quat_rotate(pose.turn_a, wp.vec3d(ZERO, ZERO, ONE))
+    out.axis = z_a
+    if kind == PRISMATIC:
+        out.value = wp.dot(z_a, pose.place_b - pose.place_a)
+    if kind == REVOLUTE:
+        q = between(pose)
+        out.value = TWO * wp.atan2(q[2], q[3])
+    if kind == SPHERICAL:
+        z_b = wp.quat_rotate(pose.turn_b, wp.vec3d(ZERO, ZERO, ONE))
+        lean = wp.cross(z_a, z_b)
+        sine = wp.length(lean)
+        out.value = wp.atan2(sine, wp.dot(z_a, z_b))
+        if sine > wp.float64(1e-12):
+            out.axis = lean / sine
+    return out
+
+
+@wp.func
+def body_position(motion: Motion, b: int) -> wp.vec3d:
+    if b < 0:
+        return wp.vec3d()
+    return motion.position[b]
+
+
+@wp.func
+def body_orientation(orientation: wp.array(dtype=wp.quatd), b: int) -> wp.quatd:
+    if b < 0:
+        return wp.quatd(ZERO, ZERO, ZERO, ONE)
+    return orientation[b]
+
+
+@wp.func
+def row_response(
+    masses: Masses, start: Start, b: int, force: wp.vec3d, torque: wp.vec3d, lever: wp.vec3d
+) -> wp.vec3d:
+    """[1/s] the spin that a unit row impulse gives a body."""
+    return start.inertia_inverse[b] * (wp.cross(lever, force) + torque)
+
+
+@wp.func
+def inverted(matrix: mat66d) -> mat66d:
+    """Of a symmetric positive definite matrix (Gauss and Jordan)."""
+    m = matrix
+    for k in range(6):
+        pivot = ONE / m[k, k]
+        for i in range(6):
+            if i != k:
+                factor = m[i, k] * pivot
+                for j in range(6):
+                    if j != k:
+                        m[i, j] = m[i, j] - factor * m[k, j]
+                m[i, k] = -factor
+        for j in range(6):
+            if j != k:
+                m[k, j] = m[k, j] * pivot
+        m[k, k] = pivot
+    return m
+
+
+@wp.func
+def begin_joint(joints: Joints, masses: Masses, motion: Motion, start: Start, j: int, exit_distance: wp.float64):
+    """Rows and their response at the substep's start. What is apart is led back by `exit_distance` [m] at most."""
+    pair = joints.body[j]
+    kind = joints.kind[j]
+    a = pair[0]
+    b = pair[1]
+    pose = joint_pose(
+        joints,
+        j,
+        body_position(motion, a),
+        body_orientation(motion.orientation, a),
+        body_position(motion, b),
+        body_orientation(motion.orientation, b),
+    )
+    axes = wp.quat_to_matrix(pose.turn_a)
+    joints.axes[j] = axes
+    # One place for both sides: what the joint does is equal and opposite, and has no moment.
+    joints.lever_a[j] = pose.place_b - body_position(motion, a)
+    joints.lever_b[j] = pose.place_b - body_position(motion, b)
+    error = joint_error(kind, pose)
+    size = wp.length(error)
+    keep = ZERO
+    if size > exit_distance:
+        keep = ONE - exit_distance / size
+    joints.error[j] = keep * error
+    response = mat66d()
+    for i in range(6):
+        force_i = wp.vec3d()
+        torque_i = wp.vec3d()
+        if i < 3:
+            force_i = column(axes, i)
+        else:
+            torque_i = column(axes, i - 3)
+        for k in range(6):
+            force_k = wp.vec3d()
+            torque_k = wp.vec3d()
+            if k < 3:
+                force_k = column(axes, k)
+            else:
+                torque_k = column(axes, k - 3)
+            value = ZERO
+            if holds(kind, i) and holds(kind, k):
+                if a >= 0:
+                    spin = row_response(masses, start, a, force_k, torque_k, joints.lever_a[j])
+                    value += wp.dot(force_i, force_k) / masses.mass[a]
+                    value += wp.dot(wp.cross(joints.lever_a[j], force_i) + torque_i, spin)
+                if b >= 0:
+                    spin = row_response(masses, start, b, force_k, torque_k, joints.lever_b[j])
+                    value += wp.dot(force_i, force_k) / masses.mass[b]
+                    value += wp.dot(wp.cross(joints.lever_b[j], force_i) + torque_i, spin)
+            elif i == k:
+                value = ONE
+            response[i, k] = value
+    joints.inverse[j] = inverted(response)
+
+
+@wp.func
+def push_pair(
+    joints: Joints,
+    masses: Masses,
+    motion: Motion,
+    start: Start,
+    spin: wp.array(dtype=wp.vec3d),
+    j: int,
+    force: wp.vec3d,
+    torque: wp.vec3d,
+):
+    """Gives the second body an impulse and an angular impulse, and the first the opposite."""
+    pair = joints.body[j]
+    if pair[0] >= 0:
+        moment = wp.cross(joints.lever_a[j], force) + torque
+        motion.velocity[pair[0]] = motion.velocity[pair[0]] - force / masses.mass[pair[0]]
+        motion.angular_momentum[pair[0]] = motion.angular_momentum[pair[0]] - moment
+        spin[pair[0]] = spin[pair[0]] - start.inertia_inverse[pair[0]] * moment
+    if pair[1] >= 0:
+        moment = wp.cross(joints.lever_b[j], force) + torque
+        motion.velocity[pair[1]] = motion.velocity[pair[1]] + force / masses.mass[pair[1]]
+        motion.angular_momentum[pair[1]] = motion.angular_momentum[pair[1]] + moment
+        spin[pair[1]] = spin[pair[1]] + start.inertia_inverse[pair[1]] * moment
+
+
+@wp.struct
+class Relative:
+    """The second body's motion against the first, at the joint."""
+
+    velocity: wp.vec3d  # [m/s]
+    spin: wp.vec3d  # [1/s]
+
+
+@wp.func
+def relative_motion(joints: Joints, motion: Motion, spin: wp.array(dtype=wp.vec3d), j: int) -> Relative:
+    out = Relative()
+    pair = joints.body[j]
+    if pair[0] >= 0:
+        out.velocity -= motion.velocity[pair[0]] + wp.cross(spin[pair[0]], joints.lever_a[j])
+        out.spin -= spin[pair[0]]
+    if pair[1] >= 0:
+        out.velocity += motion.velocity[pair[1]] + wp.cross(spin[pair[1]], joints.lever_b[j])
+        out.spin += spin[pair[1]]
+    return out
+
+
+@wp.func
+def row_speeds(joints: Joints, j: int, relative: Relative) -> vec6d:
+    out = vec6d()
+    for k in range(3):
+        axis = column(joints.axes[j], k)
+        out[k] = wp.dot(axis, relative.velocity)
+        out[3 + k] = wp.dot(axis, relative.spin)
+    return out
+
+
+@wp.func
+def limited(joints: Joints, j: int) -> bool:
+    return joints.lower[j] > -wp.inf or joints.upper[j] < wp.inf
+
+
+@wp.func
+def limit_speed(joints: Joints, j: int, relative: Relative) -> wp.float64:
+    if joints.kind[j] == PRISMATIC:
+        return wp.dot(joints.limit_axis[j], relative.velocity)
+    return wp.dot(joints.limit_axis[j], relative.spin)
+
+
+@wp.func
+def look_at_joint(
+    joints: Joints,
+    motion: Motion,
+    spin: wp.array(dtype=wp.vec3d),
+    turned: wp.array(dtype=wp.quatd),
+    j: int,
+    length: wp.float64,
+    exit_distance: wp.float64,
+) -> wp.float64:
+    """Takes the residuals where the bodies now end; the largest that they lack [m/s], [1/s]."""
+    pair = joints.body[j]
+    kind = joints.kind[j]
+    x_a = body_position(motion, pair[0])
+    x_b = body_position(motion, pair[1])
+    if pair[0] >= 0:
+        x_a += length * motion.velocity[pair[0]]
+    if pair[1] >= 0:
+        x_b += length * motion.velocity[pair[1]]
+    pose = joint_pose(joints, j, x_a, body_orientation(turned, pair[0]), x_b, body_orientation(turned, pair[1]))
+    relative = relative_motion(joints, motion, spin, j)
+    lack = (joint_error(kind, pose) - joints.error[j]) / length
+    joints.bias[j] = lack - row_speeds(joints, j, relative)
+    most = ZERO
+    for k in range(6):
+        if holds(kind, k):
+            most = wp.max(most, wp.abs(lack[k]))
+    if limited(joints, j):
+        state = limit_state(kind, pose)
+        old = joints.limit_bias[j]
+        joints.limit_axis[j] = state.axis
+        speed = limit_speed(joints, j, relative)
+        room = wp.vec2d((state.value - joints.lower[j]) / length, (joints.upper[j] - state.value) / length)
+        # What starts beyond is led back.
+        pause = exit_distance / length
+        before = joint_pose(
+            joints,
+            j,
+            body_position(motion, pair[0]),
+            body_orientation(motion.orientation, pair[0]),
+            body_position(motion, pair[1]),
+            body_orientation(motion.orientation, pair[1]),
+        )
+        begun = limit_state(kind, before).value
+        room[0] = room[0] + wp.max(ZERO, (joints.lower[j] - begun) / length - pause)
+        room[1] = room[1] + wp.max(ZERO, (begun - joints.upper[j]) / length - pause)
+        joints.limit_bias[j] = wp.vec2d(room[0] - speed, room[1] + speed)
+        if joints.limit_impulse[j][0] > ZERO or room[0] < ZERO:
+            most = wp.max(most, wp.abs(joints.limit_bias[j][0] - old[0]))
+        if joints.limit_impulse[j][1] > ZERO or room[1] < ZERO:
+            most = wp.max(most, wp.abs(joints.limit_bias[j][1] - old[1]))
+    return most
+
+
+@wp.func
+def apply_rows(
+    joints: Joints,
+    masses: Masses,
+    motion: Motion,
+    start: Start,
+    spin: wp.array(dtype=wp.vec3d),
+    j: int,
+    change: vec6d,
+):
+    axes = joints.axes[j]
+    force = axes * wp.vec3d(change[0], change[1], change[2])
+    torque = axes * wp.vec3d(change[3], change[4], change[5])
+    push_pair(joints, masses, motion, start, spin, j, force, torque)
+
+
+@wp.func
+def apply_limit(
+    joints: Joints,
+    masses: Masses,
+    motion: Motion,
+    start: Start,
+    spin: wp.array(dtype=wp.vec3d),
+    j: int,
+    change: wp.float64,
+):
+    if joints.kind[j] == PRISMATIC:
+        push_pair(joints, masses, motion, start, spin, j, change * joints.limit_axis[j], wp.vec3d())
+    else:
+        push_pair(joints, masses, motion, start, spin, j, wp.vec3d(), change * joints.limit_axis[j])
+
+
+@wp.func
+def limit_response(joints: Joints, masses: Masses, start: Start, j: int) -> wp.float64:
+    pair = joints.body[j]
+    axis = joints.limit_axis[j]
+    out = ZERO
+    for side in range(2):
+        b = pair[side]
+        if b >= 0:
+            lever = wp.where(side == 0, joints.lever_a[j], joints.lever_b[j])
+            moment = axis
+            if joints.kind[j] == PRISMATIC:
+                moment = wp.cross(lever, axis)
+                out += ONE / masses.mass[b]
+            out += wp.dot(moment, start.inertia_inverse[b] * moment)
+    return out
+
+
+@wp.func
+def solve_joint(
+    joints: Joints, masses: Masses, motion: Motion, start: Start, spin: wp.array(dtype=wp.vec3d), j: int
+) -> wp.float64:
+    """One joint of a sweep; the largest change of a speed [m/s], [1/s]."""
+    kind = joints.kind[j]
+    lack = row_speeds(joints, j, relative_motion(joints, motion, spin, j)) + joints.bias[j]
+    most = ZERO
+    for k in range(6):
+        if not holds(kind, k):
+            lack[k] = ZERO
+        most = wp.max(most, wp.abs(lack[k]))
+    change = -(joints.inverse[j] * lack)
+    joints.impulse[j] = joints.impulse[j] + change
+    apply_rows(joints, masses, motion, start, spin, j, change)
+    if limited(joints, j):
+        response = limit_response(joints, masses, start, j)
+        for k in range(2):
+            sign = wp.where(k == 0, ONE, -ONE)
+            speed = limit_speed(joints, j, relative_motion(joints, motion, spin, j))
+            held = joints.limit_impulse[j]
+            now = wp.max(held[k] - (joints.limit_bias[j][k] + sign * speed) / response, ZERO)
+            if now != held[k]:
+                most = wp.max(most, wp.abs(now - held[k]) * response)
+                apply_limit(joints, masses, motion, start, spin, j, sign * (now - held[k]))
+                held[k] = now
+                joints.limit_impulse[j] = held
+    return most
