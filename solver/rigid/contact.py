@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 CONTACTS = {
     "geom": wp.int32,
     "feature": wp.int32,
-    "side": wp.float64,
     "body": wp.vec2i,
     "core_a": wp.vec3d,
     "core_b": wp.vec3d,
@@ -42,12 +41,14 @@ CONTACTS = {
     "restitution": wp.float64,
     "impulse": wp.vec3d,
 }
-KEPT = ("geom", "feature", "side", "impulse")
+KEPT = ("geom", "feature", "normal", "impulse")
 ROWS = {
     "axes": wp.mat33d,
     "response": wp.vec4d,
     "bias": wp.vec3d,
     "impulse": wp.vec3d,
+    "held": wp.vec3d,
+    "ahead": wp.vec3d,
     "least": wp.float64,
     "struck": wp.float64,
     "push": wp.float64,

@@ -14,10 +14,12 @@ from plait.solver.contact.geometry_kernels import (
     unit_normal,
 )
 from plait.solver.rigid.motion_kernels import HALF, ONE, ZERO, Masses, Motion, world_inverse
-from plait.solver.rigid.shape_kernels import MESH, SPHERE, Nearest, nearest_on_shape
+from plait.solver.rigid.shape_kernels import MESH, SPHERE, nearest_on_shape
 
 wp.set_module_options({"enable_backward": False})
 
+# [m] further than anything reaches.
+FAR = wp.constant(wp.float64(1e6))
 UNBOUNDED = wp.constant(wp.float64(1e30))
 # Sine of the angle between edges below which they count as parallel: their ends then tell.
 PARALLEL = wp.constant(wp.float64(1e-3))
@@ -95,7 +97,6 @@ class Contacts:
     count: wp.array(dtype=wp.int32)  # (geom_count,)
     geom: wp.array(dtype=wp.int32)  # b
     feature: wp.array(dtype=wp.int32)  # which point or pair of edges
-    side: wp.array(dtype=wp.float64)  # of an open surface: 1 where its triangles face, -1 behind
     body: wp.array(dtype=wp.vec2i)  # of a and b; -1: animated
     core_a: wp.array(
         dtype=wp.vec3d
@@ -119,7 +120,7 @@ class Kept:
     count: wp.array(dtype=wp.int32)
     geom: wp.array(dtype=wp.int32)
     feature: wp.array(dtype=wp.int32)
-    side: wp.array(dtype=wp.float64)
+    normal: wp.array(dtype=wp.vec3d)
     impulse: wp.array(dtype=wp.vec3d)
 
 
@@ -216,35 +217,23 @@ class Side:
     foot: wp.vec3d  # [m] at the start
     core: wp.vec3d  # [m] at the start
     way: wp.vec3d  # [m] that an animated surface carries the foot
-    side: wp.float64
+
+
+@wp.struct
+class OnMesh:
+    """The nearest place of a mesh."""
+
+    found: bool
+    triangle: int
+    weights: wp.vec3d
+    foot: wp.vec3d  # [m]
+    normal: wp.vec3d
+    distance: wp.float64  # [m] negative inside, or behind
 
 
 @wp.func
 def to_float(x: wp.vec3d) -> wp.vec3f:
     return wp.vec3f(float(x[0]), float(x[1]), float(x[2]))
-
-
-@wp.func
-def facing(
-    triangle: Triangle, x: wp.vec3d, foot: wp.vec3d, inside: bool, solid: bool, side: wp.float64
-) -> Nearest:
-    """Direction and signed distance from the nearest point of a triangle."""
-    near = Nearest()
-    near.found = True
-    near.foot = foot
-    away = x - foot
-    distance = wp.length(away)
-    normal = unit_normal(triangle)
-    size = wp.length(triangle.b - triangle.a) + wp.length(triangle.c - triangle.a)
-    behind = inside
-    if not solid:
-        normal = side * normal
-        behind = wp.dot(away, normal) < ZERO
-    near.distance = wp.where(behind, -distance, distance)
-    near.normal = normal
-    if distance > NOISE * size:
-        near.normal = away / near.distance
-    return near
 
 
 @wp.func
@@ -256,94 +245,105 @@ def nearest_on_mesh(
     solid: bool,
     x: wp.vec3d,
     search: wp.float64,
-    memory: wp.float64,
-) -> Side:
-    """The nearest place of a mesh within `search` [m]; `memory`: which side of an open one counts, 0: where x is."""
-    out = Side()
+    witness: wp.vec3d,
+) -> OnMesh:
+    """The nearest place of a mesh within `search` [m]; witness: a point on the side of an open one that counts."""
+    out = OnMesh()
     query = wp.mesh_query_point_sign_normal(mesh, to_float(x), float(search))
     if not query.result:
         return out
-    index = first_triangle + query.face
-    triangle = get_triangle(triangles, points, index)
-    place = closest_point(triangle, x)
-    foot = interpolate(triangle, place.weights)
-    out.side = memory
-    if memory == ZERO:
-        out.side = wp.where(wp.dot(x - foot, unit_normal(triangle)) < ZERO, -ONE, ONE)
-    # Where the nearest place is inside a triangle its own plane tells the side, without float32's rounding.
-    inside = query.sign < 0.0
-    if place.feature == INSIDE:
-        inside = wp.dot(x - foot, unit_normal(triangle)) < ZERO
-    near = facing(triangle, x, foot, inside, solid, out.side)
     out.found = True
-    out.distance = near.distance
-    out.gap = near.distance
+    out.triangle = first_triangle + query.face
+    triangle = get_triangle(triangles, points, out.triangle)
+    place = closest_point(triangle, x)
+    out.weights = place.weights
+    out.foot = interpolate(triangle, place.weights)
+    away = x - out.foot
+    out.normal = unit_normal(triangle)
+    # Where the nearest place is within a triangle its own plane tells the side, without float32's rounding.
+    behind = query.sign < 0.0
+    if not solid and wp.dot(witness - out.foot, out.normal) < ZERO:
+        out.normal = -out.normal
+    if not solid or place.feature == INSIDE:
+        behind = wp.dot(away, out.normal) < ZERO
+    distance = wp.length(away)
+    out.distance = wp.where(behind, -distance, distance)
+    if distance > NOISE * (wp.length(triangle.b - triangle.a) + wp.length(triangle.c - triangle.a)):
+        out.normal = away / out.distance
+    return out
+
+
+@wp.func
+def nearest_on_animated(
+    geoms: Geoms, animated: Animated, b: int, x: wp.vec3d, search: wp.float64, witness: wp.vec3d
+) -> Side:
+    """The place nearest to a point at the substep's start, carried along to its end."""
+    out = Side()
+    near = nearest_on_mesh(
+        animated.mesh[b - geoms.carried_count],
+        animated.triangles,
+        animated.points_start,
+        geoms.first_triangle[b],
+        geoms.solid[b] == 1,
+        x,
+        search,
+        witness,
+    )
+    if not near.found:
+        return out
+    before = get_triangle(animated.triangles, animated.points_start, near.triangle)
+    after = get_triangle(animated.triangles, animated.points_end, near.triangle)
+    out.found = True
     out.normal = near.normal
-    out.foot = foot
-    out.core = place.weights
-    out.way = wp.vec3d(wp.float64(index), ZERO, ZERO)
+    normal_before = unit_normal(before)
+    normal_after = unit_normal(after)
+    if wp.length_sq(normal_before) > ZERO and wp.length_sq(normal_after) > ZERO:
+        carry = triangle_frame(after, normal_after) * wp.transpose(triangle_frame(before, normal_before))
+        out.normal = carry * near.normal
+    out.foot = near.foot
+    out.core = near.foot
+    out.way = interpolate(after, near.weights) - near.foot
+    out.distance = near.distance
+    out.gap = wp.dot(out.normal, x - near.foot) - geoms.thickness[b]
     return out
 
 
 @wp.func
 def nearest_on_geom(
-    geoms: Geoms, animated: Animated, motion: Motion, b: int, x: wp.vec3d, search: wp.float64, memory: wp.float64
+    geoms: Geoms, animated: Animated, motion: Motion, b: int, x: wp.vec3d, search: wp.float64, witness: wp.vec3d
 ) -> Side:
-    """The place of geom b nearest to a point, world."""
+    """The place of geom b nearest to a point, world; witness: a point on the side of an open one that counts."""
     body = geoms.body[b]
-    solid = geoms.solid[b] == 1
-    out = Side()
     if body < 0:
-        entry = b - geoms.carried_count
-        out = nearest_on_mesh(
-            animated.mesh[entry],
-            animated.triangles,
-            animated.points_start,
-            geoms.first_triangle[b],
-            solid,
-            x,
-            search,
-            memory,
-        )
-        if not out.found:
-            return out
-        # Carried to where the surface ends.
-        index = int(out.way[0])
-        before = get_triangle(animated.triangles, animated.points_start, index)
-        after = get_triangle(animated.triangles, animated.points_end, index)
-        out.way = interpolate(after, out.core) - out.foot
-        out.core = out.foot
-        normal_before = unit_normal(before)
-        normal_after = unit_normal(after)
-        if wp.length_sq(normal_before) > ZERO and wp.length_sq(normal_after) > ZERO:
-            carry = triangle_frame(after, normal_after) * wp.transpose(triangle_frame(before, normal_before))
-            out.normal = carry * out.normal
-        out.gap = wp.dot(out.normal, x - out.foot) - geoms.thickness[b]
-        return out
+        return nearest_on_animated(geoms, animated, b, x, search, witness)
+    out = Side()
     orientation = motion.orientation[body]
     origin = motion.position[body]
     local = wp.quat_rotate_inv(orientation, x - origin)
     if geoms.kind[b] == MESH:
-        out = nearest_on_mesh(
+        near = nearest_on_mesh(
             geoms.mesh[b],
             geoms.triangles,
             geoms.vertices,
             geoms.first_triangle[b],
-            solid,
+            geoms.solid[b] == 1,
             local,
             search,
-            memory,
+            wp.quat_rotate_inv(orientation, witness - origin),
         )
-        out.core = out.foot
+        out.found = near.found
+        out.distance = near.distance
+        out.normal = near.normal
+        out.foot = near.foot
+        out.core = near.foot
     else:
         turn = geoms.turn[b]
-        near = nearest_on_shape(geoms.kind[b], geoms.size[b], wp.quat_rotate_inv(turn, local - geoms.offset[b]))
-        out.found = near.distance <= search
-        out.distance = near.distance
-        out.normal = wp.quat_rotate(turn, near.normal)
-        out.foot = geoms.offset[b] + wp.quat_rotate(turn, near.foot)
-        out.core = geoms.offset[b] + wp.quat_rotate(turn, near.core)
-        out.side = ONE
+        on_shape = nearest_on_shape(geoms.kind[b], geoms.size[b], wp.quat_rotate_inv(turn, local - geoms.offset[b]))
+        out.found = on_shape.distance <= search
+        out.distance = on_shape.distance
+        out.normal = wp.quat_rotate(turn, on_shape.normal)
+        out.foot = geoms.offset[b] + wp.quat_rotate(turn, on_shape.foot)
+        out.core = geoms.offset[b] + wp.quat_rotate(turn, on_shape.core)
     out.gap = out.distance - geoms.thickness[b]
     out.normal = wp.quat_rotate(orientation, out.normal)
     out.foot = origin + wp.quat_rotate(orientation, out.foot)
@@ -456,7 +456,6 @@ def put_contact(
         return
     contacts.geom[slot] = b
     contacts.feature[slot] = feature
-    contacts.side[slot] = surface.side
     contacts.body[slot] = wp.vec2i(body_a, body_b)
     contacts.arm_a[slot] = arm
     contacts.arm_b[slot] = surface.foot - surface.core
@@ -483,6 +482,16 @@ def put_contact(
 
 
 @wp.func
+def led_back(surface: Side, before: wp.vec3d) -> Side:
+    """Of a point that went through something thin, the way back: it was on the other side in the substep before."""
+    out = surface
+    if wp.dot(surface.normal, before) < -HALF:
+        out.normal = -surface.normal
+        out.gap = -wp.abs(surface.gap)
+    return out
+
+
+@wp.func
 def meet_points(
     geoms: Geoms,
     animated: Animated,
@@ -506,25 +515,29 @@ def meet_points(
         inside_lower = wp.min(x - boxes.lower[b] + grown, boxes.upper[b] + grown - x)
         if wp.min(inside_lower) >= ZERO:
             feature = 4 * (p - geoms.first_point[a])
-            memory = wp.float64(0.0)
-            if geoms.solid[b] == 0 and place.radius == ZERO:
-                before = kept_at(kept, geoms.first_slot[a], kept.count[a], b, feature)
-                if before >= 0:
-                    memory = kept.side[before]
+            before = kept_at(kept, geoms.first_slot[a], kept.count[a], b, feature)
+            # What meets an open surface for the first time belongs where its body mostly is.
+            witness = x
+            if before >= 0:
+                witness = x + FAR * kept.normal[before]
+            elif geoms.body[a] >= 0:
+                witness = motion.position[geoms.body[a]]
             rim = wp.length_sq(place.axis) > ZERO
             arm = wp.vec3d()
-            surface = nearest_on_geom(geoms, animated, motion, b, x, search + place.radius, memory)
+            surface = nearest_on_geom(geoms, animated, motion, b, x, search + place.radius, witness)
             if rim and surface.found:
-                # The place of the rim that is nearest to the surface, as far as it goes: nearest to its tangent plane.
+                # The place of the rim that is nearest to the surface's tangent plane, found again from there.
                 for _ in range(3):
                     down = -surface.normal + wp.dot(surface.normal, place.axis) * place.axis
                     length = wp.length(down)
                     if length > wp.float64(1e-6) and surface.found:
                         arm = (place.radius / length) * down
-                        surface = nearest_on_geom(geoms, animated, motion, b, x + arm, search, memory)
+                        surface = nearest_on_geom(geoms, animated, motion, b, x + arm, search, witness)
             elif surface.found:
                 arm = -place.radius * surface.normal
                 surface.gap -= place.radius
+            if surface.found and before >= 0:
+                surface = led_back(surface, kept.normal[before])
             if surface.found:
                 put_contact(geoms, motion, start, kept, contacts, step, a, b, feature, place, arm, surface)
             if surface.found and place.radius > ZERO and not rim and geoms.kind[b] == MESH:
@@ -553,7 +566,7 @@ def meet_further_walls(
     away = nearest.normal
     for k in range(1, 3):
         shift = place.radius * away
-        seen = nearest_on_geom(geoms, animated, motion, b, place.x + shift, search + place.radius, ZERO)
+        seen = nearest_on_geom(geoms, animated, motion, b, place.x + shift, search + place.radius, place.x)
         if not seen.found:
             return
         if wp.dot(seen.normal, wp.normalize(away)) > APART or wp.dot(seen.normal, nearest.normal) > APART:
@@ -708,7 +721,6 @@ def cross_edges(
     surface.core = on_q
     surface.foot = on_q + q.radius * n
     surface.way = q.way_a + t * (q.way_b - q.way_a)
-    surface.side = ONE
     put_contact(geoms, motion, start, kept, contacts, step, a, b, -1 - pair, place, -p.radius * n, surface)
 
 
@@ -762,5 +774,5 @@ def keep_contacts(first: int, geoms: Geoms, contacts: Contacts, kept: Kept):
     for k in range(begin, begin + contacts.count[a]):
         kept.geom[k] = contacts.geom[k]
         kept.feature[k] = contacts.feature[k]
-        kept.side[k] = contacts.side[k]
+        kept.normal[k] = contacts.normal[k]
         kept.impulse[k] = contacts.impulse[k]

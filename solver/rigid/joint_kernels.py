@@ -48,6 +48,10 @@ class Joints:
     limit_axis: wp.array(dtype=wp.vec3d)
     limit_bias: wp.array(dtype=wp.vec2d)  # distance left to each limit over the length of the substep
     error: wp.array(dtype=vec6d)  # [m], [rad] at the start, as far as it is to stay
+    held: wp.array(dtype=vec6d)  # impulses before the last sweep, and how they go on
+    ahead: wp.array(dtype=vec6d)
+    limit_held: wp.array(dtype=wp.vec2d)
+    limit_ahead: wp.array(dtype=wp.vec2d)
 
 
 @wp.struct
@@ -441,3 +445,43 @@ def solve_joint(
                 held[k] = now
                 joints.limit_impulse[j] = held
     return most
+
+
+@wp.func
+def note_joint(joints: Joints, j: int):
+    """Before a sweep."""
+    joints.held[j] = joints.impulse[j]
+    joints.limit_held[j] = joints.limit_impulse[j]
+
+
+@wp.func
+def joint_change(joints: Joints, j: int) -> wp.float64:
+    """[J] a measure of what a sweep has changed: the impulses' changes squared, over their response."""
+    change = joints.impulse[j] - joints.held[j]
+    out = ZERO
+    for k in range(6):
+        out += change[k] * change[k] / joints.inverse[j][k, k]
+    return out
+
+
+@wp.func
+def carry_joint_on(
+    joints: Joints,
+    masses: Masses,
+    motion: Motion,
+    start: Start,
+    spin: wp.array(dtype=wp.vec3d),
+    j: int,
+    part: wp.float64,
+):
+    """Goes on by `part` of the way so far; see `sweep_until`."""
+    ahead = part * joints.ahead[j]
+    ahead_limit = part * joints.limit_ahead[j]
+    joints.ahead[j] = ahead + joints.impulse[j] - joints.held[j]
+    joints.limit_ahead[j] = ahead_limit + joints.limit_impulse[j] - joints.limit_held[j]
+    if part > ZERO:
+        joints.impulse[j] = joints.impulse[j] + ahead
+        apply_rows(joints, masses, motion, start, spin, j, ahead)
+        if limited(joints, j):
+            joints.limit_impulse[j] = joints.limit_impulse[j] + ahead_limit
+            apply_limit(joints, masses, motion, start, spin, j, ahead_limit[0] - ahead_limit[1])

@@ -27,6 +27,10 @@ SUBSTEP = {
     "limit_bias": wp.vec2d,
     "limit_impulse": wp.vec2d,
     "error": kernels.vec6d,
+    "held": kernels.vec6d,
+    "ahead": kernels.vec6d,
+    "limit_held": wp.vec2d,
+    "limit_ahead": wp.vec2d,
 }
 
 

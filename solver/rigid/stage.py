@@ -52,7 +52,7 @@ class RigidStage:
     impulse: (body_count,) vec3d [kg m/s] and angular_impulse: (body_count,) vec3d [kg m2/s] about the centre of mass,
         that others add to; the next substep takes them up.
 
-    State arrays: rigid/ and those names; rigid/contact_count, contact_geom, contact_feature, contact_side and
+    State arrays: rigid/ and those names; rigid/contact_count, contact_geom, contact_feature, contact_normal and
     contact_impulse, what is kept of contacts from a substep to the next; rigid/joint_impulse.
     """
 
