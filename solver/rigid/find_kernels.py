@@ -22,6 +22,7 @@ wp.set_module_options({"enable_backward": False})
 FAR = wp.constant(wp.float64(1e6))
 UNBOUNDED = wp.constant(wp.float64(1e30))
 # Sine of the angle between edges below which they count as parallel: their ends then tell.
+TWO = wp.constant(wp.float64(2.0))
 PARALLEL = wp.constant(wp.float64(1e-3))
 # Two contacts of one point with one surface differ by more (cosine).
 APART = wp.constant(wp.float64(0.9))
@@ -56,6 +57,8 @@ class Geoms:
     filter_offsets: wp.array(dtype=wp.int32)  # (count + 1,)
     filtered: wp.array(dtype=wp.int32)  # geoms that a geom does not touch
     points: wp.array(dtype=wp.vec3d)  # [m]
+    inward: wp.array(dtype=wp.vec3d)  # unit, from the point into its body; zero where it is round
+    fans: wp.array(dtype=wp.vec4i)  # of animated surfaces, triangles about the point; -1: none
     point_index: wp.array(dtype=wp.int32)  # of animated surfaces, into their points
     radius: wp.array(dtype=wp.float64)  # [m]
     axis: wp.array(dtype=wp.vec3d)  # unit: the point is a rim about it; else zero
@@ -360,6 +363,7 @@ class Place:
     way: wp.vec3d  # [m] in the substep, of an animated surface
     radius: wp.float64  # [m]
     axis: wp.vec3d
+    inward: wp.vec3d  # unit, or zero
 
 
 @wp.func
@@ -370,10 +374,16 @@ def place_of(geoms: Geoms, animated: Animated, motion: Motion, a: int, p: int) -
         i = geoms.point_index[p]
         out.x = animated.points_start[i]
         out.way = animated.points_end[i] - out.x
+        fan = geoms.fans[p]
+        for k in range(4):
+            if fan[k] >= 0:
+                out.inward -= unit_normal(get_triangle(animated.triangles, animated.points_start, fan[k]))
+        out.inward = wp.normalize(out.inward)
         return out
     out.x = motion.position[body] + wp.quat_rotate(motion.orientation[body], geoms.points[p])
     out.radius = geoms.radius[p]
     out.axis = wp.quat_rotate(motion.orientation[body], geoms.axis[p])
+    out.inward = wp.quat_rotate(motion.orientation[body], geoms.inward[p])
     return out
 
 
@@ -406,6 +416,14 @@ def find_slot(contacts: Contacts, geoms: Geoms, a: int, gap: wp.float64) -> int:
     if contacts.gap[widest] > gap:
         return widest
     return -1
+
+
+@wp.func
+def least_margin(geoms: Geoms, a: int, b: int) -> wp.float64:
+    """[m] of the smaller of two bodies, or of the one body."""
+    if geoms.body[a] < 0 or (geoms.body[b] >= 0 and geoms.margin[b] < geoms.margin[a]):
+        return geoms.margin[b]
+    return geoms.margin[a]
 
 
 @wp.func
@@ -445,9 +463,7 @@ def put_contact(
         approach -= velocity_at(motion, start, body_a, touch - motion.position[body_a])
     if body_b >= 0:
         approach += velocity_at(motion, start, body_b, touch - motion.position[body_b])
-    margin = geoms.margin[a]
-    if body_a < 0 or (body_b >= 0 and geoms.margin[b] < margin):
-        margin = geoms.margin[b]
+    margin = least_margin(geoms, a, b)
     gap = surface.gap
     if gap > margin + wp.max(ZERO, step.length * wp.dot(approach, n)):
         return
@@ -506,7 +522,8 @@ def meet_points(
 ):
     """Contacts of the points of geom a with the surface of geom b."""
     travel = boxes.travel[a] + boxes.travel[b]
-    reach = wp.max(geoms.margin[a], geoms.margin[b]) + geoms.thickness[b] + travel
+    depth = least_margin(geoms, a, b)
+    reach = TWO * depth + geoms.thickness[b] + travel
     for p in range(geoms.first_point[a], geoms.first_point[a + 1]):
         place = place_of(geoms, animated, motion, a, p)
         search = reach + place.radius
@@ -524,7 +541,10 @@ def meet_points(
                 witness = motion.position[geoms.body[a]]
             rim = wp.length_sq(place.axis) > ZERO
             arm = wp.vec3d()
-            surface = nearest_on_geom(geoms, animated, motion, b, x, search + place.radius, witness)
+            # What is looked for from a little within the point's own body tells the side also where both bodies end.
+            within = x + depth * place.inward
+            surface = nearest_on_geom(geoms, animated, motion, b, within, search + place.radius, witness)
+            surface.gap -= wp.dot(surface.normal, within - x)
             if rim and surface.found:
                 # The place of the rim that is nearest to the surface's tangent plane, found again from there.
                 for _ in range(3):
@@ -689,7 +709,11 @@ def cross_edges(
         return
     s = (uv * wp.dot(v, w) - vv * wp.dot(u, w)) / square
     t = (uu * wp.dot(v, w) - uv * wp.dot(u, w)) / square
-    if s < ZERO or s > ONE or t < ZERO or t > ONE:
+    depth = least_margin(geoms, a, b)
+    # What touches near the end of an edge is found by its corner.
+    end_p = HALF * depth / wp.sqrt(uu)
+    end_q = HALF * depth / wp.sqrt(vv)
+    if s < end_p or s > ONE - end_p or t < end_q or t > ONE - end_q:
         return
     on_p = p.a + s * u
     on_q = q.a + t * v
@@ -707,9 +731,6 @@ def cross_edges(
     if not leaves(q, n) or not leaves(p, -n):
         return
     gap = height - p.radius - q.radius - geoms.thickness[a] - geoms.thickness[b]
-    depth = wp.min(geoms.margin[a], geoms.margin[b])
-    if geoms.body[b] < 0:
-        depth = geoms.margin[a]
     if gap < -depth - boxes.travel[a] - boxes.travel[b]:
         return
     place = Place()

@@ -36,19 +36,22 @@ MARGIN = 0.02
 class Features:
     """Points and edges of one geom, in the axes of its body about the centre of mass, or indices for a collider.
 
-    points: (n, 3) [m], each with a radius (n,) [m] and an axis (n, 3), zero but for a rim about it.
+    points: (n, 3) [m], each with a radius (n,) [m] and an axis (n, 3), zero but for a rim about it, and
+        the way in (n, 3), unit, zero where the surface is round.
     vertices: (m, 3) [m], that edges (e, 4) index: both ends, and what the two faces lie towards (-1: no face); each
         with a radius (e,) [m].
-    index: (n,) which of a mesh's vertices the points are.
+    index: (n,) which of a mesh's vertices the points are, and fans: (n, 4) triangles about each, -1 for none.
     """
 
     points: np.ndarray
     radius: np.ndarray
     axis: np.ndarray
+    inward: np.ndarray
     vertices: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     edges: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), dtype=np.int32))
     edge_radius: np.ndarray = field(default_factory=lambda: np.zeros(0))
     index: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    fans: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), dtype=np.int32))
 
 
 def of_shape(shape: Shape, frame: np.ndarray) -> Features:
@@ -61,9 +64,9 @@ def of_shape(shape: Shape, frame: np.ndarray) -> Features:
         "edge_radius": np.array([radius]),
     }
     if shape.kind == "sphere":
-        return Features(_carry(frame, np.zeros((1, 3))), np.array([radius]), np.zeros((1, 3)))
+        return Features(_carry(frame, np.zeros((1, 3))), np.array([radius]), np.zeros((1, 3)), np.zeros((1, 3)))
     if shape.kind == "capsule":
-        return Features(_carry(frame, ends), np.full(2, radius), np.zeros((2, 3)), **axis_edge)
+        return Features(_carry(frame, ends), np.full(2, radius), np.zeros((2, 3)), np.zeros((2, 3)), **axis_edge)
     if shape.kind == "box":
         return _of_box(np.asarray(shape.size, dtype=np.float64), frame)
     rims = ends if shape.kind == "cylinder" else ends[:1]
@@ -75,7 +78,8 @@ def of_shape(shape: Shape, frame: np.ndarray) -> Features:
     axis[: len(rims)] = frame[:3, 2]
     radii = np.where(np.arange(len(axis)) < len(rims), radius, 0.0)
     points = _carry(frame, np.concatenate([rims, fixed]))
-    return Features(points, radii, axis, **(axis_edge if shape.kind == "cylinder" else {}))
+    inward = np.concatenate([np.zeros((len(rims), 3)), -_unit(fixed) @ frame[:3, :3].T])
+    return Features(points, radii, axis, inward, **(axis_edge if shape.kind == "cylinder" else {}))
 
 
 def _carry(frame: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -90,7 +94,37 @@ def _of_box(half: np.ndarray, frame: np.ndarray) -> Features:
             if not a & bit:
                 edges.append([a, a | bit, *(a ^ other for other in (1, 2, 4) if other != bit)])
     corners = _carry(frame, signs * half)
-    return Features(corners, np.zeros(8), np.zeros((8, 3)), corners, np.array(edges), np.zeros(12))
+    inward = -_unit(signs) @ frame[:3, :3].T
+    return Features(corners, np.zeros(8), np.zeros((8, 3)), inward, corners, np.array(edges), np.zeros(12))
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
+
+
+def vertex_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(n, 3) unit, weighted by the triangles' angles."""
+    out = np.zeros_like(points)
+    faces = np.asarray(triangles)
+    for k in range(3):
+        a, b, c = (points[faces[:, (k + m) % 3]] for m in range(3))
+        u, v = _unit(b - a), _unit(c - a)
+        angle = np.arccos(np.clip(np.einsum("ni,ni->n", u, v), -1.0, 1.0))
+        np.add.at(out, faces[:, k], angle[:, None] * _unit(np.cross(u, v)))
+    return _unit(out)
+
+
+def fans_of(triangles: np.ndarray, vertices: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(n, 4) of each vertex up to four triangles that face differently, -1 for none."""
+    faces = np.asarray(triangles)
+    normals = _unit(np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]))
+    about: dict[int, list[int]] = {}
+    for face, corners_of in enumerate(faces.tolist()):
+        for v in corners_of:
+            held = about.setdefault(v, [])
+            if len(held) < 4 and all(normals[face] @ normals[k] < 1.0 - 1e-6 for k in held):
+                held.append(face)
+    return np.array([(about[v] + [-1] * 4)[:4] for v in vertices.tolist()], dtype=np.int32).reshape(-1, 4)
 
 
 def convex_edges(points: np.ndarray, triangles: np.ndarray, bend: float) -> np.ndarray:
@@ -134,7 +168,11 @@ def of_mesh(points: np.ndarray, triangles: np.ndarray) -> Features:
     """Features of a triangle mesh."""
     kept = corners(points, convex_edges(points, triangles, BEND))
     count, edges = len(kept), convex_edges(points, triangles, SHARP)
-    return Features(points[kept], np.zeros(count), np.zeros((count, 3)), points, edges, np.zeros(len(edges)), kept)
+    inward = -vertex_normals(points, triangles)[kept]
+    fans = fans_of(triangles, kept, points)
+    return Features(
+        points[kept], np.zeros(count), np.zeros((count, 3)), inward, points, edges, np.zeros(len(edges)), kept, fans
+    )
 
 
 class GeomTable:
@@ -217,7 +255,7 @@ class GeomTable:
 
     def _hold_features(self, items: list[Collider], meshes: list) -> None:
         geoms, hold, parts = self.geoms, self._array, self._parts[: self.carried_count]
-        vertex, triangle, edges, index = 0, 0, [], []
+        vertex, triangle, edges, index, fans = 0, 0, [], [], []
         self.meshes = []
         ids, first_triangle = [], []
         for k, (item, part) in enumerate(zip(items, self._parts, strict=True)):
@@ -227,11 +265,13 @@ class GeomTable:
                 first_triangle.append(triangle)
                 triangle += len(meshes[k][1]) if item.surface.shape is None else 0
                 index.append(np.zeros(len(part.points)))
+                fans.append(np.full((len(part.points), 4), -1))
                 ids.append(self._mesh(*meshes[k]) if item.surface.shape is None else 0)
             else:
                 edges.append(np.where(part.edges < 0, -1, part.edges + item.first_point))
                 first_triangle.append(item.first_triangle)
                 index.append(part.index + item.first_point)
+                fans.append(np.where(part.fans < 0, -1, part.fans + item.first_triangle))
                 ids.append(0)
         counts = [len(part.points) for part in self._parts]
         geoms.mesh = hold(ids, wp.uint64)
@@ -242,6 +282,8 @@ class GeomTable:
         self.first_slot = _offsets(slots)
         geoms.first_slot = hold(self.first_slot, wp.int32)
         geoms.point_index = hold(_joined(index, 0), wp.int32)
+        geoms.fans = hold(_joined(fans, 4), wp.vec4i)
+        geoms.inward = hold(_joined([p.inward for p in self._parts], 3), wp.vec3d)
         geoms.points = hold(_joined([p.points for p in self._parts], 3), wp.vec3d)
         geoms.radius = hold(_joined([p.radius for p in self._parts], 0), wp.float64)
         geoms.axis = hold(_joined([p.axis for p in self._parts], 3), wp.vec3d)

@@ -35,6 +35,8 @@ class Joints:
         dtype=wp.vec3d
     )  # (2 joint_count,) [m] about the centre of mass; of the world at the substep's end
     turn: wp.array(dtype=wp.quatd)  # (2 joint_count,)
+    place_start: wp.array(dtype=wp.vec3d)  # the same, of the world at the substep's start
+    turn_start: wp.array(dtype=wp.quatd)
     lower: wp.array(dtype=wp.float64)  # [rad] or [m]; -inf: no limit
     upper: wp.array(dtype=wp.float64)
     impulse: wp.array(dtype=vec6d)  # [kg m/s], [kg m2/s] on the second body, along the rows
@@ -77,14 +79,50 @@ def holds(kind: int, row: int) -> bool:
 
 
 @wp.func
-def joint_pose(joints: Joints, j: int, x_a: wp.vec3d, q_a: wp.quatd, x_b: wp.vec3d, q_b: wp.quatd) -> JointPose:
+def body_position(motion: Motion, b: int) -> wp.vec3d:
+    if b < 0:
+        return wp.vec3d()
+    return motion.position[b]
+
+
+@wp.func
+def body_orientation(orientation: wp.array(dtype=wp.quatd), b: int) -> wp.quatd:
+    if b < 0:
+        return wp.quatd(ZERO, ZERO, ZERO, ONE)
+    return orientation[b]
+
+
+@wp.func
+def joint_pose(
+    place: wp.array(dtype=wp.vec3d),
+    turn: wp.array(dtype=wp.quatd),
+    j: int,
+    x_a: wp.vec3d,
+    q_a: wp.quatd,
+    x_b: wp.vec3d,
+    q_b: wp.quatd,
+) -> JointPose:
     """With the bodies at x and q; for the world x = 0, q = 1."""
     out = JointPose()
-    out.place_a = x_a + wp.quat_rotate(q_a, joints.place[2 * j])
-    out.place_b = x_b + wp.quat_rotate(q_b, joints.place[2 * j + 1])
-    out.turn_a = q_a * joints.turn[2 * j]
-    out.turn_b = q_b * joints.turn[2 * j + 1]
+    out.place_a = x_a + wp.quat_rotate(q_a, place[2 * j])
+    out.place_b = x_b + wp.quat_rotate(q_b, place[2 * j + 1])
+    out.turn_a = q_a * turn[2 * j]
+    out.turn_b = q_b * turn[2 * j + 1]
     return out
+
+
+@wp.func
+def pose_at_start(joints: Joints, motion: Motion, j: int) -> JointPose:
+    pair = joints.body[j]
+    return joint_pose(
+        joints.place_start,
+        joints.turn_start,
+        j,
+        body_position(motion, pair[0]),
+        body_orientation(motion.orientation, pair[0]),
+        body_position(motion, pair[1]),
+        body_orientation(motion.orientation, pair[1]),
+    )
 
 
 @wp.func
@@ -148,20 +186,6 @@ def limit_state(kind: int, pose: JointPose) -> LimitState:
 
 
 @wp.func
-def body_position(motion: Motion, b: int) -> wp.vec3d:
-    if b < 0:
-        return wp.vec3d()
-    return motion.position[b]
-
-
-@wp.func
-def body_orientation(orientation: wp.array(dtype=wp.quatd), b: int) -> wp.quatd:
-    if b < 0:
-        return wp.quatd(ZERO, ZERO, ZERO, ONE)
-    return orientation[b]
-
-
-@wp.func
 def row_response(
     masses: Masses, start: Start, b: int, force: wp.vec3d, torque: wp.vec3d, lever: wp.vec3d
 ) -> wp.vec3d:
@@ -196,14 +220,7 @@ def begin_joint(joints: Joints, masses: Masses, motion: Motion, start: Start, j:
     kind = joints.kind[j]
     a = pair[0]
     b = pair[1]
-    pose = joint_pose(
-        joints,
-        j,
-        body_position(motion, a),
-        body_orientation(motion.orientation, a),
-        body_position(motion, b),
-        body_orientation(motion.orientation, b),
-    )
+    pose = pose_at_start(joints, motion, j)
     axes = wp.quat_to_matrix(pose.turn_a)
     joints.axes[j] = axes
     # One place for both sides: what the joint does is equal and opposite, and has no moment.
@@ -333,7 +350,9 @@ def look_at_joint(
         x_a += length * motion.velocity[pair[0]]
     if pair[1] >= 0:
         x_b += length * motion.velocity[pair[1]]
-    pose = joint_pose(joints, j, x_a, body_orientation(turned, pair[0]), x_b, body_orientation(turned, pair[1]))
+    q_a = body_orientation(turned, pair[0])
+    q_b = body_orientation(turned, pair[1])
+    pose = joint_pose(joints.place, joints.turn, j, x_a, q_a, x_b, q_b)
     relative = relative_motion(joints, motion, spin, j)
     lack = (joint_error(kind, pose) - joints.error[j]) / length
     joints.bias[j] = lack - row_speeds(joints, j, relative)
@@ -349,15 +368,7 @@ def look_at_joint(
         room = wp.vec2d((state.value - joints.lower[j]) / length, (joints.upper[j] - state.value) / length)
         # What starts beyond is led back.
         pause = exit_distance / length
-        before = joint_pose(
-            joints,
-            j,
-            body_position(motion, pair[0]),
-            body_orientation(motion.orientation, pair[0]),
-            body_position(motion, pair[1]),
-            body_orientation(motion.orientation, pair[1]),
-        )
-        begun = limit_state(kind, before).value
+        begun = limit_state(kind, pose_at_start(joints, motion, j)).value
         room[0] = room[0] + wp.max(ZERO, (joints.lower[j] - begun) / length - pause)
         room[1] = room[1] + wp.max(ZERO, (begun - joints.upper[j]) / length - pause)
         joints.limit_bias[j] = wp.vec2d(room[0] - speed, room[1] + speed)

@@ -65,6 +65,7 @@ class JointTable:
         self.joints.lower, self.joints.upper = hold(bounds[:, 0], wp.float64), hold(bounds[:, 1], wp.float64)
         place, turn = self._frames(model.start_time)
         self.joints.place, self.joints.turn = hold(place, wp.vec3d), hold(turn, wp.quatd)
+        self.joints.place_start, self.joints.turn_start = wp.clone(self.joints.place), wp.clone(self.joints.turn)
         self._carried = any(None in joint.bodies and joint.motion.animated for joint in self.scene_joints)
 
     def begin_substep(self, substep: Interval) -> None:
@@ -72,9 +73,13 @@ class JointTable:
             return
         wp.copy(self._before, self.joints.impulse)
         if self._carried:
-            place, turn = self._frames(substep.end)
-            self.joints.place.assign(place)
-            self.joints.turn.assign(turn)
+            for time, places, turns in (
+                (substep.start, self.joints.place_start, self.joints.turn_start),
+                (substep.end, self.joints.place, self.joints.turn),
+            ):
+                place, turn = self._frames(time)
+                places.assign(place)
+                turns.assign(turn)
 
     def retract(self) -> None:
         if self.count:

@@ -370,11 +370,10 @@ def sweep_until(
         for i in range(contact_begin, contact_end):
             rows.held[islands.contact[i]] = rows.impulse[islands.contact[i]]
         for i in range(joint_begin, joint_end):
-            at = wp.where(sweep % 2 == 0, i, joint_begin + joint_end - 1 - i)
-            change = wp.max(change, solve_joint(joints, masses, motion, start, work.spin, islands.joint[at]))
+            change = wp.max(change, solve_joint(joints, masses, motion, start, work.spin, islands.joint[i]))
         for i in range(contact_begin, contact_end):
-            at = wp.where(sweep % 2 == 0, i, contact_begin + contact_end - 1 - i)
-            change = wp.max(change, solve_contact(contacts, rows, masses, motion, start, work, islands.contact[at]))
+            c = islands.contact[i]
+            change = wp.max(change, solve_contact(contacts, rows, masses, motion, start, work, c))
         work.sweeps[r] = work.sweeps[r] + 1
         if change <= bound or sweep == sweeps - 1:
             break
@@ -462,6 +461,15 @@ def part_overlaps(
                     work.push_turn[pair[1]] = work.push_turn[pair[1]] - turn
         if most <= wp.float64(1e-3) * effort.exit_speed * step.length:
             break
+    # Bodies that move have changed their moment of momentum by this: their spins take it back.
+    for i in range(begin, end):
+        c = islands.contact[i]
+        pair = contacts.body[c]
+        if rows.push[c] > ZERO and pair[0] >= 0 and pair[1] >= 0:
+            between = motion.velocity[pair[0]] - motion.velocity[pair[1]]
+            half = HALF * rows.push[c] * wp.cross(contacts.normal[c], between)
+            motion.angular_momentum[pair[0]] = motion.angular_momentum[pair[0]] - half
+            motion.angular_momentum[pair[1]] = motion.angular_momentum[pair[1]] - half
 
 
 @wp.kernel
