@@ -14,7 +14,11 @@ if TYPE_CHECKING:
 # Each module offers `build(model, state) -> Stage | None`; it is imported only when its test holds, so that a
 # feature the scene lacks costs nothing: no arrays, no kernel compiled, no launch.
 FEATURES = (
-    ("kinematics", "plait.solver.kinematics.stage", lambda scene: bool(scene.strands or scene.bodies or scene.rigid_bodies)),
+    (
+        "kinematics",
+        "plait.solver.kinematics.stage",
+        lambda scene: bool(scene.strands or scene.bodies or scene.rigid_bodies),
+    ),
     ("rigid", "plait.solver.rigid.stage", lambda scene: bool(scene.rigid_bodies)),
     ("tets", "plait.solver.tets.stage", lambda scene: bool(scene.bodies)),
     ("carried", "plait.solver.kinematics.carried", lambda scene: bool(scene.bodies and scene.strands)),

@@ -115,9 +115,9 @@ class BlendShapes:
 class Shape:
     """The shape that a surface's triangles approximate: rigid bodies touch it instead of the triangles.
 
-    size: (3,) float64 [m]: of a 'sphere' the radius first, the others unused; of a 'capsule', 'cylinder' and 'cone'
-        the radius and half the height (of a capsule that between the centres of its caps), along z, the cone's
-        apex at +z; of a 'box' half its edges.
+    size: (3,) float64 [m]: of a 'sphere' the radius first, the others unused; of a 'capsule', 'cylinder' and
+        'cone' the radius and half the height (of a capsule that between the centres of its caps), along z, the
+        cone's apex at +z; of a 'box' half its edges.
     frame: (4, 4) float64, rigid, from the shape's own space to that of the surface's rest points.
     """
 
@@ -207,12 +207,13 @@ class TetBody:
 class RigidBody:
     """A body that moves without deforming: a prop.
 
-    surfaces: indices into `Scene.surfaces` of all that is seen of it and touches, each with `rigid` this body; their
-        rest points lie in one space, the body's rest space. Friction is told by each surface.
+    surfaces: indices into `Scene.surfaces` of all that is seen of it and touches, each with `rigid` this body;
+        their rest points lie in one space, the body's rest space. Friction is told by each surface.
     mass: [kg].  center_of_mass: (3,) float64 [m], in rest space.
     inertia: (3, 3) float64 [kg m2], about the centre of mass, along the axes of rest space.
     motion: rest space to world, rigid, of which only the pose at the start counts.
-    velocity: (3,) float64 [m/s], of the centre of mass, and angular_velocity: (3,) float64 [rad/s], world, at the start.
+    velocity: (3,) float64 [m/s], of the centre of mass, and angular_velocity: (3,) float64 [rad/s], world, at the
+        start.
     restitution: of its impacts, 0 to 1; of a pair the larger counts.
     """
 
@@ -232,11 +233,11 @@ class Joint:
     """Holds two rigid bodies to each other, or one to a place.
 
     bodies: indices into `Scene.rigid_bodies`; None for the world, at most once.
-    frames: of each side the joint's frame, (4, 4) float64, rigid, in that body's rest space; for the world in that of
-        `motion`. What is held together: of 'fixed' the whole frames; of 'revolute' origins and z axes, turning about
-        z; of 'spherical' origins; of 'prismatic' all but the way along z.
-    limits: lower and upper, of the second frame against the first: of 'revolute' the turn about z, within half a turn
-        [rad]; of 'prismatic' the way along z [m]. None: no limits.
+    frames: of each side the joint's frame, (4, 4) float64, rigid, in that body's rest space; for the world in that
+        of `motion`. What is held together: of 'fixed' the whole frames; of 'revolute' origins and z axes, turning
+        about z; of 'spherical' origins; of 'prismatic' all but the way along z.
+    limits: lower and upper, of the second frame against the first: of 'revolute' the turn about z, within half a
+        turn [rad]; of 'prismatic' the way along z [m]. None: no limits.
     cone: of 'spherical', how far the second z axis may lean from the first [rad], above 0; None: any way.
     motion: carries the world's frame.
     collide: whether the two bodies touch each other besides.

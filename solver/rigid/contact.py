@@ -9,17 +9,14 @@ import numpy as np
 import warp as wp
 
 from plait.solver.model import Interval, Model
-from plait.solver.rigid.find_kernels import (
-    Animated,
-    Boxes,
-    Contacts,
-    Kept,
-    bound_geoms,
-    find_contacts,
-    keep_contacts,
-)
+from plait.solver.rigid.begin_kernels import bound_geoms
+from plait.solver.rigid.find_kernels import find_contacts, keep_contacts
 from plait.solver.rigid.geoms import GeomTable
-from plait.solver.rigid.solve_kernels import Effort, Islands, Rows, find_islands, solve_islands
+from plait.solver.rigid.island_kernels import Islands, find_islands
+from plait.solver.rigid.overlap_kernels import Effort
+from plait.solver.rigid.row_kernels import Rows
+from plait.solver.rigid.solve_kernels import solve_islands
+from plait.solver.rigid.types import Animated, Boxes, Contacts, Kept
 from plait.solver.state import State
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from plait.solver.contact.bodies import encloses_volume
 from plait.solver.kinematics.colliders import Collider
 from plait.solver.model import Model
 from plait.solver.rigid import shape_kernels as kinds
-from plait.solver.rigid.find_kernels import Geoms
 from plait.solver.rigid.quaternions import quaternion
+from plait.solver.rigid.types import Geoms
 from plait.solver.scene import Shape, Surface
 
 KINDS = {
@@ -38,8 +38,8 @@ class Features:
 
     points: (n, 3) [m], each with a radius (n,) [m] and an axis (n, 3), zero but for a rim about it, and
         the way in (n, 3), unit, zero where the surface is round.
-    vertices: (m, 3) [m], that edges (e, 4) index: both ends, and what the two faces lie towards (-1: no face); each
-        with a radius (e,) [m].
+    vertices: (m, 3) [m], that edges (e, 4) index: both ends, and what the two faces lie towards (-1: no face).
+    edge_radius: (e,) [m].
     index: (n,) which of a mesh's vertices the points are, and fans: (n, 4) triangles about each, -1 for none.
     """
 
@@ -171,7 +171,15 @@ def of_mesh(points: np.ndarray, triangles: np.ndarray) -> Features:
     inward = -vertex_normals(points, triangles)[kept]
     fans = fans_of(triangles, kept, points)
     return Features(
-        points[kept], np.zeros(count), np.zeros((count, 3)), inward, points, edges, np.zeros(len(edges)), kept, fans
+        points[kept],
+        np.zeros(count),
+        np.zeros((count, 3)),
+        inward,
+        points,
+        edges,
+        np.zeros(len(edges)),
+        kept,
+        fans,
     )
 
 
@@ -331,7 +339,7 @@ def filter_lists(
                 for b in scene.rigid_bodies[joint.bodies[1]].surfaces:
                     part(a, b)
     lists = [sorted(of_geom) for of_geom in apart]
-    return _offsets([len(of_geom) for of_geom in lists]), np.array(sum(lists, []), dtype=np.int32)
+    return _offsets([len(of_geom) for of_geom in lists]), np.concatenate([[], *lists]).astype(np.int32)
 
 
 def _bounds(points: np.ndarray, part: Features) -> tuple[np.ndarray, np.ndarray]:

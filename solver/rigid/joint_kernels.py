@@ -1,8 +1,8 @@
 """Joints between rigid bodies: what they hold, in float64.
 
-A joint is a condition on where the substep ends: rows along the first frame's axes at the start, three for the places
-and three for the turns, and their residuals at the end, found anew until they vanish (Newton's method with the
-Jacobian of the start). So joints do not drift. Positions being met and velocities taken from the way, it is the scheme
+A joint is a condition on where the substep ends: rows along the first frame's axes at the start, three for the
+places and three for the turns, and their residuals at the end, found anew until they vanish (Newton's method with
+the Jacobian of the start). So joints do not drift. Positions being met and velocities taken from the way, it is
 SHAKE (Ryckaert, Ciccotti and Berendsen 1977), which is symplectic.
 """
 
@@ -10,179 +10,24 @@ from __future__ import annotations
 
 import warp as wp
 
-from plait.solver.rigid.find_kernels import Start
+from plait.solver.rigid.joint_pose_kernels import (
+    PRISMATIC,
+    Joints,
+    body_orientation,
+    body_position,
+    column,
+    holds,
+    joint_error,
+    joint_pose,
+    limit_state,
+    mat66d,
+    pose_at_start,
+    vec6d,
+)
 from plait.solver.rigid.motion_kernels import ONE, ZERO, Masses, Motion
+from plait.solver.rigid.types import Start
 
 wp.set_module_options({"enable_backward": False})
-
-FIXED = wp.constant(0)
-REVOLUTE = wp.constant(1)
-SPHERICAL = wp.constant(2)
-PRISMATIC = wp.constant(3)
-TWO = wp.constant(wp.float64(2.0))
-
-vec6d = wp.types.vector(length=6, dtype=wp.float64)
-mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
-
-
-@wp.struct
-class Joints:
-    """One entry a joint; see `plait.solver.scene.Joint`."""
-
-    body: wp.array(dtype=wp.vec2i)  # -1: the world
-    kind: wp.array(dtype=wp.int32)
-    place: wp.array(
-        dtype=wp.vec3d
-    )  # (2 joint_count,) [m] about the centre of mass; of the world at the substep's end
-    turn: wp.array(dtype=wp.quatd)  # (2 joint_count,)
-    place_start: wp.array(dtype=wp.vec3d)  # the same, of the world at the substep's start
-    turn_start: wp.array(dtype=wp.quatd)
-    lower: wp.array(dtype=wp.float64)  # [rad] or [m]; -inf: no limit
-    upper: wp.array(dtype=wp.float64)
-    impulse: wp.array(dtype=vec6d)  # [kg m/s], [kg m2/s] on the second body, along the rows
-    limit_impulse: wp.array(dtype=wp.vec2d)  # at the lower limit, at the upper: not negative
-    # of a substep
-    axes: wp.array(dtype=wp.mat33d)  # columns
-    lever_a: wp.array(dtype=wp.vec3d)  # [m]
-    lever_b: wp.array(dtype=wp.vec3d)
-    inverse: wp.array(dtype=mat66d)  # of the rows' response
-    bias: wp.array(dtype=vec6d)  # [m/s], [1/s] what the rows' speeds lack
-    limit_axis: wp.array(dtype=wp.vec3d)
-    limit_bias: wp.array(dtype=wp.vec2d)  # distance left to each limit over the length of the substep
-    error: wp.array(dtype=vec6d)  # [m], [rad] at the start, as far as it is to stay
-    held: wp.array(dtype=vec6d)  # impulses before the last sweep, and how they go on
-    ahead: wp.array(dtype=vec6d)
-    limit_held: wp.array(dtype=wp.vec2d)
-    limit_ahead: wp.array(dtype=wp.vec2d)
-
-
-@wp.struct
-class JointPose:
-    """The two frames of a joint, world."""
-
-    place_a: wp.vec3d  # [m]
-    place_b: wp.vec3d
-    turn_a: wp.quatd
-    turn_b: wp.quatd
-
-
-@wp.func
-def holds(kind: int, row: int) -> bool:
-    """Whether a joint holds a row."""
-    if kind == SPHERICAL:
-        return row < 3
-    if kind == REVOLUTE:
-        return row != 5
-    if kind == PRISMATIC:
-        return row != 2
-    return True
-
-
-@wp.func
-def body_position(motion: Motion, b: int) -> wp.vec3d:
-    if b < 0:
-        return wp.vec3d()
-    return motion.position[b]
-
-
-@wp.func
-def body_orientation(orientation: wp.array(dtype=wp.quatd), b: int) -> wp.quatd:
-    if b < 0:
-        return wp.quatd(ZERO, ZERO, ZERO, ONE)
-    return orientation[b]
-
-
-@wp.func
-def joint_pose(
-    place: wp.array(dtype=wp.vec3d),
-    turn: wp.array(dtype=wp.quatd),
-    j: int,
-    x_a: wp.vec3d,
-    q_a: wp.quatd,
-    x_b: wp.vec3d,
-    q_b: wp.quatd,
-) -> JointPose:
-    """With the bodies at x and q; for the world x = 0, q = 1."""
-    out = JointPose()
-    out.place_a = x_a + wp.quat_rotate(q_a, place[2 * j])
-    out.place_b = x_b + wp.quat_rotate(q_b, place[2 * j + 1])
-    out.turn_a = q_a * turn[2 * j]
-    out.turn_b = q_b * turn[2 * j + 1]
-    return out
-
-
-@wp.func
-def pose_at_start(joints: Joints, motion: Motion, j: int) -> JointPose:
-    pair = joints.body[j]
-    return joint_pose(
-        joints.place_start,
-        joints.turn_start,
-        j,
-        body_position(motion, pair[0]),
-        body_orientation(motion.orientation, pair[0]),
-        body_position(motion, pair[1]),
-        body_orientation(motion.orientation, pair[1]),
-    )
-
-
-@wp.func
-def column(m: wp.mat33d, k: int) -> wp.vec3d:
-    return wp.vec3d(m[0, k], m[1, k], m[2, k])
-
-
-@wp.func
-def between(pose: JointPose) -> wp.quatd:
-    """The second frame's turn against the first, the shorter way."""
-    q = wp.quat_inverse(pose.turn_a) * pose.turn_b
-    if q[3] < ZERO:
-        q = wp.quatd(-q[0], -q[1], -q[2], -q[3])
-    return q
-
-
-@wp.func
-def joint_error(kind: int, pose: JointPose) -> vec6d:
-    """[m], [rad] how far the second frame is from where it is held, along the first's axes."""
-    out = vec6d()
-    apart = wp.quat_rotate_inv(pose.turn_a, pose.place_b - pose.place_a)
-    q = between(pose)
-    turn = TWO * wp.vec3d(q[0], q[1], q[2])
-    if kind == REVOLUTE:
-        # The second z axis as the first frame sees it: its tilt alone.
-        z = wp.quat_rotate(q, wp.vec3d(ZERO, ZERO, ONE))
-        turn = wp.vec3d(-z[1], z[0], ZERO)
-    for k in range(3):
-        if holds(kind, k):
-            out[k] = apart[k]
-        if holds(kind, 3 + k):
-            out[3 + k] = turn[k]
-    return out
-
-
-@wp.struct
-class LimitState:
-    value: wp.float64  # [rad] or [m]
-    axis: wp.vec3d  # of what changes it, world
-
-
-@wp.func
-def limit_state(kind: int, pose: JointPose) -> LimitState:
-    """What a joint's limits bound."""
-    out = LimitState()
-    z_a = wp.quat_rotate(pose.turn_a, wp.vec3d(ZERO, ZERO, ONE))
-    out.axis = z_a
-    if kind == PRISMATIC:
-        out.value = wp.dot(z_a, pose.place_b - pose.place_a)
-    if kind == REVOLUTE:
-        q = between(pose)
-        out.value = TWO * wp.atan2(q[2], q[3])
-    if kind == SPHERICAL:
-        z_b = wp.quat_rotate(pose.turn_b, wp.vec3d(ZERO, ZERO, ONE))
-        lean = wp.cross(z_a, z_b)
-        sine = wp.length(lean)
-        out.value = wp.atan2(sine, wp.dot(z_a, z_b))
-        if sine > wp.float64(1e-12):
-            out.axis = lean / sine
-    return out
 
 
 @wp.func

@@ -7,7 +7,7 @@ import warp as wp
 
 from plait.solver.diagnostics import Refused
 from plait.solver.model import Interval, Model
-from plait.solver.rigid import joint_kernels as kernels
+from plait.solver.rigid import joint_pose_kernels as kernels
 from plait.solver.rigid.quaternions import quaternion
 from plait.solver.state import State
 

@@ -11,7 +11,7 @@ from plait.solver.scene import Shape
 
 @dataclass(frozen=True)
 class MassProperties:
-    """mass: [kg].  center: (3,) [m].  inertia: (3, 3) [kg m2] about the centre, along the axes of the points' space."""
+    """mass: [kg].  center: (3,) [m].  inertia: (3, 3) [kg m2] about the centre, along the points' axes."""
 
     mass: float
     center: np.ndarray
@@ -21,8 +21,8 @@ class MassProperties:
 def of_mesh(points: np.ndarray, triangles: np.ndarray, density: float) -> MassProperties:
     """Of what a closed surface encloses: points (n, 3) [m], triangles (m, 3) facing out, density [kg/m3].
 
-    Exact for the polyhedron: the sum over the tetrahedra between its faces and a point of the integrals of 1, x and
-    x x^T, which are those of polynomials. Raises ValueError for one that encloses no volume.
+    Exact for the polyhedron: the sum over the tetrahedra between its faces and a point of the integrals of 1, x
+    and x x^T, which are those of polynomials. Raises ValueError for one that encloses no volume.
     """
     points = np.asarray(points, dtype=np.float64)
     origin = 0.5 * (points.min(axis=0) + points.max(axis=0))

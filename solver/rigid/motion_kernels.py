@@ -87,8 +87,8 @@ def turn_freely(
         m1 = exp(-h w) m0,  w = I^-1 (m0 + m1) / 2,  R1 = R0 exp(h w)
 
     keeps R m exactly, and the energy m . I^-1 m / 2 too, since m1 - m0 is across w; a steady spin is exact. It is
-    the scheme of Austin, Krishnaprasad and Wang (J. Comput. Phys. 107, 1993) with exp for Cayley's transform. It is
-    symmetric, so of second order; where a step turns far, parts composed after Suzuki (1990) make it fourth.
+    that of Austin, Krishnaprasad and Wang (J. Comput. Phys. 107, 1993) with exp for Cayley's transform; symmetric,
+    so of second order, and where a step turns far, parts composed after Suzuki (1990) make it fourth.
     """
     angle = length * wp.length(inertia_inverse * wp.quat_rotate_inv(orientation, angular_momentum))
     if angle == ZERO:

@@ -11,13 +11,15 @@ import warp as wp
 
 from plait.solver.diagnostics import Diverged, Refused
 from plait.solver.model import Interval, Model
+from plait.solver.rigid.begin_kernels import begin_bodies
 from plait.solver.rigid.contact import RigidContact
-from plait.solver.rigid.find_kernels import Start, Step, begin_bodies
 from plait.solver.rigid.joints import JointTable
 from plait.solver.rigid.motion_kernels import Masses, Motion
 from plait.solver.rigid.place_kernels import place_points
 from plait.solver.rigid.quaternions import quaternion, rotation_matrix
-from plait.solver.rigid.solve_kernels import Work, advance_bodies
+from plait.solver.rigid.row_kernels import Work
+from plait.solver.rigid.solve_kernels import advance_bodies
+from plait.solver.rigid.types import Start, Step
 from plait.solver.scene import RigidBody
 from plait.solver.state import State
 
@@ -46,11 +48,12 @@ def build(model: Model, state: State) -> RigidStage | None:
 class RigidStage:
     """All rigid bodies of a scene.
 
-    position: (body_count,) vec3d [m] of the centres of mass, world.  orientation: (body_count,) quatd, unit, from the
-        axes of rest space to world.  velocity: (body_count,) vec3d [m/s].  angular_momentum: (body_count,) vec3d
-        [kg m2/s] about the centre of mass, world.
-    impulse: (body_count,) vec3d [kg m/s] and angular_impulse: (body_count,) vec3d [kg m2/s] about the centre of mass,
-        that others add to; the next substep takes them up.
+    position: (body_count,) vec3d [m] of the centres of mass, world.
+    orientation: (body_count,) quatd, unit, from the axes of rest space to world.
+    velocity: (body_count,) vec3d [m/s].
+    angular_momentum: (body_count,) vec3d [kg m2/s] about the centre of mass, world.
+    impulse: (body_count,) vec3d [kg m/s], and angular_impulse: (body_count,) vec3d [kg m2/s] about the centre of
+        mass, that others add to; the next substep takes them up.
 
     State arrays: rigid/ and those names; rigid/contact_count, contact_geom, contact_feature, contact_normal and
     contact_impulse, what is kept of contacts from a substep to the next; rigid/joint_impulse.

@@ -44,13 +44,17 @@ class Prop:
         self.surface, self.mass, self.motion, self.body = surface, mass, motion, body
 
 
-def box(size=(0.2, 0.2, 0.2), centre=(0.0, 0.0, 0.0), rotation=None, *, density=1000.0, friction=None, **body) -> Prop:
+def box(
+    size=(0.2, 0.2, 0.2), centre=(0.0, 0.0, 0.0), rotation=None, *, density=1000.0, friction=None, **body
+) -> Prop:
     """A box of triangles."""
     surface = solid_box("box", size, friction=friction)
     return Prop(surface, of_mesh(surface.points, surface.triangles, density), pose(centre, rotation), **body)
 
 
-def shaped(kind: str, size, centre=(0.0, 0.0, 0.0), rotation=None, *, density=1000.0, friction=None, **body) -> Prop:
+def shaped(
+    kind: str, size, centre=(0.0, 0.0, 0.0), rotation=None, *, density=1000.0, friction=None, **body
+) -> Prop:
     """A shape, drawn as a ball of its radius."""
     shape = Shape(kind, np.resize(np.asarray(size, dtype=np.float64), 3))
     points, triangles = ball(6, float(shape.size[0]))
@@ -77,9 +81,7 @@ class Rigid:
 
         surfaces = [replace(prop.surface, rigid=k, motion=prop.motion) for k, prop in enumerate(props)]
         bodies = tuple(
-            RigidBody(
-                f"body {k}", (k,), p.mass.mass, p.mass.center, p.mass.inertia, motion=p.motion, **p.body
-            )
+            RigidBody(f"body {k}", (k,), p.mass.mass, p.mass.center, p.mass.inertia, motion=p.motion, **p.body)
             for k, p in enumerate(props)
         )
         self.scene = Scene(

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from plait.pipeline.benchmarks.scenes import FormulaMotion
-
 from plait.solver.scene import Surface
 
 from ..contact.soft_scenes import floor, solid_box, turn_z
@@ -57,7 +56,7 @@ def test_an_incline_gives_the_acceleration_of_coulombs_law(angle, friction):
 
 @pytest.mark.parametrize("kind, size", [("sphere", 0.1), ("capsule", 0.1), ("cylinder", 0.1)])
 def test_what_slides_comes_to_roll(kind, size):
-    """From v0 without spin: rolls at v0 / (1 + k), k = I / (m r^2), from t = v0 k / ((1 + k) mu g) on; of a ball 5/7.
+    """From v0 without spin: rolls at v0 / (1 + k), k = I / (m r^2), after v0 k / ((1 + k) mu g); of a ball 5/7.
 
     Round shapes roll on exactly: the speed stays.
     """
@@ -102,7 +101,7 @@ def test_a_block_rides_a_turntable():
 
 
 def test_a_block_rides_a_spinning_body():
-    """The same on a plate that is itself a rigid body, far heavier: sticking does not drift between bodies either."""
+    """The same on a plate that is itself a rigid body, far heavier: nor does sticking drift between bodies."""
     speed = 2.0
     plate = box((4.0, 0.2, 4.0), density=1e6, friction=0.7, angular_velocity=[0.0, speed, 0.0])
     rider = box(
@@ -199,7 +198,7 @@ def test_momenta_of_a_closed_scene_hold():
 
 @pytest.mark.parametrize("speed", [5.0, 20.0])
 def test_a_thin_plate_stops_what_hits_it(speed):
-    """Nothing passes, however thin; what an impact makes turn by a radian a substep overlaps by 5 % of its size."""
+    """Nothing passes, however thin; what an impact makes turn far in a substep overlaps by 5 % of its size."""
     plate = solid_box("plate", (8.0, 0.002, 8.0))
     props = [
         box(centre=(0.03, 0.4, 0.02), rotation=rotation_about(np.ones(3), 0.7), velocity=[0.0, -speed, 0.0]),

@@ -59,7 +59,9 @@ def test_energy_and_angular_momentum_of_a_free_body_do_not_drift(rate):
 def test_a_steady_spin_keeps_its_phase_however_fast():
     """About a principal axis the scheme is exact: the angle is rate times time."""
     rate = 200.0  # [rad/s], more than one radian a substep
-    scene = Rigid([of_inertia(np.diag([1.0, 2.0, 3.0]), angular_velocity=[0.0, 0.0, rate])], gravity=(0.0, 0.0, 0.0))
+    scene = Rigid(
+        [of_inertia(np.diag([1.0, 2.0, 3.0]), angular_velocity=[0.0, 0.0, rate])], gravity=(0.0, 0.0, 0.0)
+    )
     scene.run(1.0)
     expected = rotation_about(np.array([0.0, 0.0, 1.0]), rate * scene.time)
     assert scene.rotation[0] == pytest.approx(expected, abs=1e-10)
@@ -83,7 +85,7 @@ def test_impulses_of_others_are_taken_up_once():
 
 
 def heavy_top() -> Rigid:
-    """Inertia (1, 1, .5) about its tip, m g l = 2, leaning 60 degrees, spinning at 12: in slow steady precession."""
+    """Inertia (1, 1, .5) about its tip, m g l = 2, leaning 60 degrees, spinning at 12: slow steady precession."""
     lean, spin, rate = np.radians(60.0), 12.0, 0.34314575
     mass, length, gravity = 1.0, 0.2, 10.0
     inertia = np.diag([1.0 - mass * length**2, 1.0 - mass * length**2, 0.5])

@@ -49,7 +49,9 @@ def test_a_chain_of_joints_holds(kind):
     """Three bars swing for 3 s, hung on the world: no joint opens by more than 1e-6, nor drifts."""
     bars = [box((0.3, 0.05, 0.05), (0.15 + 0.3 * k, 0.0, 0.0), angular_velocity=[1.0, 0.0, 0.0]) for k in range(3)]
     turn = ALONG_X if kind == "prismatic" else None
-    joints = [Joint("first", "spherical" if kind == "prismatic" else kind, (None, 0), (np.eye(4), frame((-0.15, 0, 0))))]
+    joints = [
+        Joint("first", "spherical" if kind == "prismatic" else kind, (None, 0), (np.eye(4), frame((-0.15, 0, 0))))
+    ]
     for k in range(2):
         ends = (frame((0.15, 0, 0), turn), frame((-0.15, 0, 0), turn))
         joints.append(Joint("next", kind, (k, k + 1), ends, limits=(-0.1, 0.1) if kind == "prismatic" else None))
@@ -93,7 +95,11 @@ def test_a_hinge_stops_at_its_limits():
     door = box((0.8, 2.0, 0.04), (0.4, 0.0, 0.0), angular_velocity=[0.0, 3.0, 0.0], velocity=[0.0, 0.0, -1.2])
     upright = rotation_about(np.array([1.0, 0.0, 0.0]), -0.5 * np.pi)  # z to y
     hinge = Joint(
-        "hinge", "revolute", (None, 0), (frame(rotation=upright), frame((-0.4, 0.0, 0.0), upright)), limits=(-0.3, 1.2)
+        "hinge",
+        "revolute",
+        (None, 0),
+        (frame(rotation=upright), frame((-0.4, 0.0, 0.0), upright)),
+        limits=(-0.3, 1.2),
     )
     scene = Rigid([door], joints=(hinge,))
 

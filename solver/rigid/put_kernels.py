@@ -1,0 +1,154 @@
+"""Contacts as they are found: which are noted, and where."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from plait.solver.contact.geometry_kernels import get_triangle, unit_normal
+from plait.solver.rigid.motion_kernels import HALF, ZERO, Motion
+from plait.solver.rigid.nearest_kernels import Side
+from plait.solver.rigid.types import Animated, Contacts, Geoms, Kept, Start, Step
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Place:
+    """A point of a geom at the substep's start, world."""
+
+    x: wp.vec3d  # [m] of its core
+    way: wp.vec3d  # [m] in the substep, of an animated surface
+    radius: wp.float64  # [m]
+    axis: wp.vec3d
+    inward: wp.vec3d  # unit, or zero
+
+
+@wp.func
+def place_of(geoms: Geoms, animated: Animated, motion: Motion, a: int, p: int) -> Place:
+    out = Place()
+    body = geoms.body[a]
+    if body < 0:
+        i = geoms.point_index[p]
+        out.x = animated.points_start[i]
+        out.way = animated.points_end[i] - out.x
+        fan = geoms.fans[p]
+        for k in range(4):
+            if fan[k] >= 0:
+                out.inward -= unit_normal(get_triangle(animated.triangles, animated.points_start, fan[k]))
+        out.inward = wp.normalize(out.inward)
+        return out
+    out.x = motion.position[body] + wp.quat_rotate(motion.orientation[body], geoms.points[p])
+    out.radius = geoms.radius[p]
+    out.axis = wp.quat_rotate(motion.orientation[body], geoms.axis[p])
+    out.inward = wp.quat_rotate(motion.orientation[body], geoms.inward[p])
+    return out
+
+
+@wp.func
+def velocity_at(motion: Motion, start: Start, body: int, lever: wp.vec3d) -> wp.vec3d:
+    spin = start.inertia_inverse[body] * motion.angular_momentum[body]
+    return motion.velocity[body] + wp.cross(spin, lever)
+
+
+@wp.func
+def kept_at(kept: Kept, first: int, count: int, geom: int, feature: int) -> int:
+    for k in range(first, first + count):
+        if kept.geom[k] == geom and kept.feature[k] == feature:
+            return k
+    return -1
+
+
+@wp.func
+def find_slot(contacts: Contacts, geoms: Geoms, a: int, gap: wp.float64) -> int:
+    """Place for one more contact of geom a; where none are left that of the widest gap, if it is wider; or -1."""
+    first = geoms.first_slot[a]
+    count = contacts.count[a]
+    if first + count < geoms.first_slot[a + 1]:
+        contacts.count[a] = count + 1
+        return first + count
+    widest = wp.int32(first)
+    for k in range(first + 1, first + count):
+        if contacts.gap[k] > contacts.gap[widest]:
+            widest = k
+    if contacts.gap[widest] > gap:
+        return widest
+    return -1
+
+
+@wp.func
+def least_margin(geoms: Geoms, a: int, b: int) -> wp.float64:
+    """[m] of the smaller of two bodies, or of the one body."""
+    if geoms.body[a] < 0 or (geoms.body[b] >= 0 and geoms.margin[b] < geoms.margin[a]):
+        return geoms.margin[b]
+    return geoms.margin[a]
+
+
+@wp.func
+def mean_friction(a: wp.float64, b: wp.float64, otherwise: wp.float64) -> wp.float64:
+    """The mean of the two; where one is not told, the other's."""
+    if a < ZERO and b < ZERO:
+        return otherwise
+    if a < ZERO:
+        return b
+    if b < ZERO:
+        return a
+    return HALF * (a + b)
+
+
+@wp.func
+def put_contact(
+    geoms: Geoms,
+    motion: Motion,
+    start: Start,
+    kept: Kept,
+    contacts: Contacts,
+    step: Step,
+    a: int,
+    b: int,
+    feature: int,
+    place: Place,
+    arm: wp.vec3d,
+    surface: Side,
+):
+    """Notes a contact of a point, its core at place.x and itself at place.x + arm, if it may touch in time."""
+    body_a = geoms.body[a]
+    body_b = geoms.body[b]
+    n = surface.normal
+    touch = place.x + arm
+    approach = (surface.way - place.way) / step.length
+    if body_a >= 0:
+        approach -= velocity_at(motion, start, body_a, touch - motion.position[body_a])
+    if body_b >= 0:
+        approach += velocity_at(motion, start, body_b, touch - motion.position[body_b])
+    margin = least_margin(geoms, a, b)
+    gap = surface.gap
+    if gap > margin + wp.max(ZERO, step.length * wp.dot(approach, n)):
+        return
+    slot = find_slot(contacts, geoms, a, gap)
+    if slot < 0:
+        return
+    contacts.geom[slot] = b
+    contacts.feature[slot] = feature
+    contacts.body[slot] = wp.vec2i(body_a, body_b)
+    contacts.arm_a[slot] = arm
+    contacts.arm_b[slot] = surface.foot - surface.core
+    if body_a >= 0:
+        contacts.core_a[slot] = wp.quat_rotate_inv(motion.orientation[body_a], place.x - motion.position[body_a])
+        contacts.lever_a[slot] = touch - motion.position[body_a]
+    else:
+        contacts.core_a[slot] = place.way
+    if body_b >= 0:
+        contacts.core_b[slot] = wp.quat_rotate_inv(
+            motion.orientation[body_b], surface.core - motion.position[body_b]
+        )
+        contacts.lever_b[slot] = touch - motion.position[body_b]
+    else:
+        contacts.core_b[slot] = surface.way
+    contacts.normal[slot] = n
+    contacts.gap[slot] = gap
+    contacts.friction[slot] = mean_friction(geoms.friction[a], geoms.friction[b], step.friction)
+    contacts.restitution[slot] = wp.max(geoms.restitution[a], geoms.restitution[b])
+    contacts.impulse[slot] = wp.vec3d()
+    before = kept_at(kept, geoms.first_slot[a], kept.count[a], b, feature)
+    if before >= 0:
+        contacts.impulse[slot] = kept.impulse[before]
