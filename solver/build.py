@@ -21,7 +21,11 @@ FEATURES = (
     ),
     ("rigid", "plait.solver.rigid.stage", lambda scene: bool(scene.rigid_bodies)),
     ("tets", "plait.solver.tets.stage", lambda scene: bool(scene.bodies)),
-    ("carried", "plait.solver.kinematics.carried", lambda scene: bool(scene.bodies and scene.strands)),
+    (
+        "carried",
+        "plait.solver.kinematics.carried",
+        lambda scene: bool((scene.bodies or scene.rigid_bodies) and scene.strands),
+    ),
     ("strands", "plait.solver.strands.stage", lambda scene: bool(scene.strands)),
 )
 

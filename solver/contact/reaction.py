@@ -1,4 +1,4 @@
-"""Strands push back on the elastic bodies that hold them up."""
+"""Strands push back on the elastic and rigid bodies that hold them up."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ class SkinReaction:
     """
 
     def __init__(self, model: Model) -> None:
-        self._launcher, self._tets = model.launcher, model.parts["tets"]
-        colliders = model.parts["kinematics"].colliders
-        layout = self._tets.layout
-        count = len(colliders.points[0])
+        self._launcher = model.launcher
+        self._tets, self._rigid = model.parts.get("tets"), model.parts.get("rigid")
         self._kinematics = model.parts["kinematics"]
-        # The tet each collider point lies in; points that no body carries have no weight.
+        colliders = self._kinematics.colliders
+        count = len(colliders.points[0])
+        # The tet each collider point lies in; points that no elastic body carries have no weight.
         self._nodes, self._weights = np.zeros((count, 4), dtype=np.int32), np.zeros((count, 4))
         for collider in colliders.items:
-            if collider.carried:
-                body = collider.surface.body
+            body = collider.surface.body
+            if body is not None:
+                layout = self._tets.layout
                 self._nodes[collider.points] = layout.skin_nodes(body)
                 self._weights[collider.points] = layout.bodies[body].embedding.barycentric
 
     def give(self, contact: SurfaceContact, position: wp.array, reaction: wp.array, length: float) -> None:
-        """Adds the impulses of a substep of `length` [s] to the bodies' `external_impulse`.
+        """Adds the impulses of a substep of `length` [s] to the bodies' impulses from others.
 
         position: (node_count,) vec3d [m] of the strands' nodes at its end.  reaction: (plane_count,) vec3d [N].
         """
@@ -49,9 +50,19 @@ class SkinReaction:
         planes = wp.array(pushed, dtype=wp.int32, device=device)
         inputs = [planes, contact.plane_body, contact.bodies, position]
         self._launcher.launch(find_feet, len(pushed), inputs, [vertices, weights])
-        corners = vertices.numpy()
-        shares = weights.numpy()[:, :, None] * self._weights[corners]
-        nodes, impulses = self._nodes[corners].reshape(-1), -length * forces[pushed]
+        corners, shares = vertices.numpy(), weights.numpy()[:, :, None]
+        impulses = -length * forces[pushed]
+        if self._tets is not None:
+            self._give_to_nodes(corners, shares, impulses)
+        if self._rigid is not None:
+            rigid = np.array([-1 if c.surface.rigid is None else c.surface.rigid for c in near])[body[pushed]]
+            feet = (shares * contact.bodies.points_end.numpy()[corners]).sum(axis=1)
+            self._rigid.push(rigid[rigid >= 0], feet[rigid >= 0], impulses[rigid >= 0])
+
+    def _give_to_nodes(self, corners: np.ndarray, shares: np.ndarray, impulses: np.ndarray) -> None:
+        """To elastic bodies: corners (n, 3) with shares (n, 3, 1), impulses (n, 3) [kg m/s]."""
+        shares = shares * self._weights[corners]
+        nodes = self._nodes[corners].reshape(-1)
         given = self._tets.external_impulse.numpy()
         for axis in range(3):
             parts = (shares * impulses[:, axis, None, None]).reshape(-1)

@@ -42,7 +42,7 @@ class TriangleFrames:
         self._points = {
             s: wp.empty(len(scene.surfaces[s].points), dtype=wp.vec3d, device=device)
             for s in self.surfaces
-            if scene.surfaces[s].body is not None
+            if scene.surfaces[s].body is not None or scene.surfaces[s].rigid is not None
         }
         self._deformers = {s: Deformer(scene.surfaces[s], launcher, used[s]) for s in self.surfaces}
         self._still = {s for s in self.surfaces if not scene.surfaces[s].motion.animated and s not in self._points}

@@ -13,7 +13,7 @@ from plait.solver.kinematics.colliders import Collider, Colliders
 from plait.solver.kinematics.reach import sweep, touches
 from plait.solver.kinematics.roots import Roots
 from plait.solver.model import Interval, Model
-from plait.solver.scene import Pose
+from plait.solver.scene import Pose, Surface
 from plait.solver.state import State
 
 # A strand may stretch by this part of its arc length, and contact looks this far [m] beyond its radius.
@@ -72,7 +72,7 @@ class KinematicsStage:
     @property
     def carries(self) -> bool:
         """Whether some strands grow on a body's skin."""
-        return self.roots is not None and any(self._surfaces[s].body is not None for s in self.roots.surfaces)
+        return self.roots is not None and any(_carried(self._surfaces[s]) for s in self.roots.surfaces)
 
     def place_roots(self, time: float) -> None:
         """Moves `root_position` and `root_rotation` to `time` [s], those on skins to where the bodies are."""
@@ -200,6 +200,11 @@ class KinematicsStage:
             bend = np.abs(samples[2:] - 2.0 * samples[1:-1] + samples[:-2]).max(axis=0)
             boxes += np.stack([-bend, bend], axis=1)
         return boxes
+
+
+def _carried(surface: Surface) -> bool:
+    """Whether an elastic or a rigid body takes a surface along."""
+    return surface.body is not None or surface.rigid is not None
 
 
 def build(model: Model, state: State) -> KinematicsStage:

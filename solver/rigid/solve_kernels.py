@@ -35,7 +35,8 @@ from plait.solver.rigid.row_kernels import (
 )
 from plait.solver.rigid.types import Contacts, Geoms, Start, Step
 
-wp.set_module_options({"enable_backward": False})
+# Unrolled, the joints' loops over rows would be most of the code.
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 # Impacts slower than what gravity gives in so many substeps do not rebound.
 SLOW = wp.constant(wp.float64(2.0))

@@ -175,6 +175,14 @@ class RigidStage:
         inputs = [self._points[surface], self.motion.position, self.motion.orientation, body]
         self._launcher.launch(place_points, len(points), inputs, [points, query_points])
 
+    def push(self, bodies: np.ndarray, places: np.ndarray, impulses: np.ndarray) -> None:
+        """Adds impulses of others, (n, 3) [kg m/s] at places (n, 3) [m], world; `bodies` (n,) take them up."""
+        moments = np.cross(places - self.position.numpy()[bodies], impulses)
+        for array, given in ((self.impulse, impulses), (self.angular_impulse, moments)):
+            held = array.numpy()
+            np.add.at(held, bodies, given)
+            array.assign(held)
+
     def skins(self) -> dict[int, Callable[[wp.array, wp.array], None]]:
         """What places the points of each surface that a rigid body carries."""
         return {index: partial(self.place_surface, index) for index in self._points}

@@ -180,7 +180,7 @@ class StrandsStage:
             return None
         device = self._launcher.device
         self._flags = wp.zeros(self.layout.strand_count, dtype=wp.int32, device=device)
-        if self._model.scene.bodies:
+        if self._model.scene.bodies or self._model.scene.rigid_bodies:
             from plait.solver.contact.reaction import SkinReaction
 
             self._reaction = SkinReaction(self._model)
