@@ -150,7 +150,7 @@ class RigidContact:
             prepare(
                 find_contacts,
                 geoms.count,
-                [step, geoms, animated, motion, start, self._boxes, self._kept, contacts],
+                [step, geoms, animated, motion, self._boxes, self._kept, contacts],
                 work_per_item=FIND_WORK,
             ),
             prepare(find_islands, 1, [geoms, contacts, joints, stage.joints.count, bodies, islands]),

@@ -7,7 +7,7 @@ import warp as wp
 from plait.solver.rigid.motion_kernels import HALF, ONE, ZERO, Motion
 from plait.solver.rigid.nearest_kernels import Side
 from plait.solver.rigid.put_kernels import Place, least_margin, put_contact
-from plait.solver.rigid.types import Animated, Boxes, Contacts, Geoms, Kept, Start, Step
+from plait.solver.rigid.types import Animated, Boxes, Contacts, Geoms, Kept, Step
 
 wp.set_module_options({"enable_backward": False})
 
@@ -69,7 +69,6 @@ def leaves(edge: Segment, n: wp.vec3d) -> bool:
 def cross_edges(
     geoms: Geoms,
     motion: Motion,
-    start: Start,
     boxes: Boxes,
     kept: Kept,
     contacts: Contacts,
@@ -125,7 +124,7 @@ def cross_edges(
     surface.core = on_q
     surface.foot = on_q + q.radius * n
     surface.way = q.way_a + t * (q.way_b - q.way_a)
-    put_contact(geoms, motion, start, kept, contacts, step, a, b, -1 - pair, place, -p.radius * n, surface)
+    put_contact(geoms, motion, boxes, kept, contacts, step, a, b, -1 - pair, place, -p.radius * n, surface)
 
 
 @wp.func
@@ -133,7 +132,6 @@ def meet_edges(
     geoms: Geoms,
     animated: Animated,
     motion: Motion,
-    start: Start,
     boxes: Boxes,
     kept: Kept,
     contacts: Contacts,
@@ -156,4 +154,4 @@ def meet_edges(
                 clear_q = wp.max(wp.min(q.a, q.b) - grown_q - upper, lower - wp.max(q.a, q.b) - grown_q)
                 if wp.max(clear_q) <= ZERO:
                     pair = (i - geoms.first_edge[a]) * count_b + j - geoms.first_edge[b]
-                    cross_edges(geoms, motion, start, boxes, kept, contacts, step, a, b, pair, p, q)
+                    cross_edges(geoms, motion, boxes, kept, contacts, step, a, b, pair, p, q)

@@ -8,7 +8,7 @@ from plait.solver.rigid.edge_kernels import meet_edges
 from plait.solver.rigid.motion_kernels import ZERO, Motion
 from plait.solver.rigid.point_kernels import meet_points
 from plait.solver.rigid.shape_kernels import SPHERE
-from plait.solver.rigid.types import Animated, Boxes, Contacts, Geoms, Kept, Start, Step
+from plait.solver.rigid.types import Animated, Boxes, Contacts, Geoms, Kept, Step
 
 wp.set_module_options({"enable_backward": False})
 
@@ -34,7 +34,6 @@ def find_contacts(
     geoms: Geoms,
     animated: Animated,
     motion: Motion,
-    start: Start,
     boxes: Boxes,
     kept: Kept,
     contacts: Contacts,
@@ -49,9 +48,9 @@ def find_contacts(
         if touches(geoms, boxes, a, b):
             # Of two balls one side tells all.
             if a < b or geoms.kind[a] != SPHERE or geoms.kind[b] != SPHERE:
-                meet_points(geoms, animated, motion, start, boxes, kept, contacts, step[0], a, b)
+                meet_points(geoms, animated, motion, boxes, kept, contacts, step[0], a, b)
             if a < b:
-                meet_edges(geoms, animated, motion, start, boxes, kept, contacts, step[0], a, b)
+                meet_edges(geoms, animated, motion, boxes, kept, contacts, step[0], a, b)
 
 
 @wp.kernel

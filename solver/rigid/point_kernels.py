@@ -8,7 +8,7 @@ from plait.solver.rigid.motion_kernels import HALF, ZERO, Motion
 from plait.solver.rigid.nearest_kernels import Side, nearest_on_geom
 from plait.solver.rigid.put_kernels import Place, kept_at, least_margin, place_of, put_contact
 from plait.solver.rigid.shape_kernels import MESH
-from plait.solver.rigid.types import Animated, Boxes, Contacts, Geoms, Kept, Start, Step
+from plait.solver.rigid.types import Animated, Boxes, Contacts, Geoms, Kept, Step
 
 wp.set_module_options({"enable_backward": False})
 
@@ -34,7 +34,7 @@ def meet_further_walls(
     geoms: Geoms,
     animated: Animated,
     motion: Motion,
-    start: Start,
+    boxes: Boxes,
     kept: Kept,
     contacts: Contacts,
     step: Step,
@@ -60,7 +60,7 @@ def meet_further_walls(
         seen.foot = seen.foot - slide
         seen.core = seen.foot
         arm = -place.radius * seen.normal
-        put_contact(geoms, motion, start, kept, contacts, step, a, b, feature + k, place, arm, seen)
+        put_contact(geoms, motion, boxes, kept, contacts, step, a, b, feature + k, place, arm, seen)
         away = away + seen.normal
 
 
@@ -69,7 +69,6 @@ def meet_points(
     geoms: Geoms,
     animated: Animated,
     motion: Motion,
-    start: Start,
     boxes: Boxes,
     kept: Kept,
     contacts: Contacts,
@@ -83,13 +82,16 @@ def meet_points(
     reach = TWO * depth + geoms.thickness[b] + travel
     for p in range(geoms.first_point[a], geoms.first_point[a + 1]):
         place = place_of(geoms, animated, motion, a, p)
+        feature = 4 * (p - geoms.first_point[a])
+        before = kept_at(kept, geoms.first_slot[a], kept.count[a], b, feature)
         search = reach + place.radius
+        if before >= 0:
+            # However deep it has been left, it is led back.
+            search += wp.max(geoms.reach[a], geoms.reach[b])
         grown = wp.vec3d(search, search, search)
         x = place.x
         inside_lower = wp.min(x - boxes.lower[b] + grown, boxes.upper[b] + grown - x)
         if wp.min(inside_lower) >= ZERO:
-            feature = 4 * (p - geoms.first_point[a])
-            before = kept_at(kept, geoms.first_slot[a], kept.count[a], b, feature)
             # What meets an open surface for the first time belongs where its body mostly is.
             witness = x
             if before >= 0:
@@ -116,8 +118,8 @@ def meet_points(
             if surface.found and before >= 0:
                 surface = led_back(surface, kept.normal[before])
             if surface.found:
-                put_contact(geoms, motion, start, kept, contacts, step, a, b, feature, place, arm, surface)
+                put_contact(geoms, motion, boxes, kept, contacts, step, a, b, feature, place, arm, surface)
             if surface.found and place.radius > ZERO and not rim and geoms.kind[b] == MESH:
                 meet_further_walls(
-                    geoms, animated, motion, start, kept, contacts, step, a, b, feature, place, surface, search
+                    geoms, animated, motion, boxes, kept, contacts, step, a, b, feature, place, surface, search
                 )

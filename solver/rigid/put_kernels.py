@@ -7,7 +7,7 @@ import warp as wp
 from plait.solver.contact.geometry_kernels import get_triangle, unit_normal
 from plait.solver.rigid.motion_kernels import HALF, ZERO, Motion
 from plait.solver.rigid.nearest_kernels import Side
-from plait.solver.rigid.types import Animated, Contacts, Geoms, Kept, Start, Step
+from plait.solver.rigid.types import Animated, Boxes, Contacts, Geoms, Kept, Step
 
 wp.set_module_options({"enable_backward": False})
 
@@ -42,12 +42,6 @@ def place_of(geoms: Geoms, animated: Animated, motion: Motion, a: int, p: int) -
     out.axis = wp.quat_rotate(motion.orientation[body], geoms.axis[p])
     out.inward = wp.quat_rotate(motion.orientation[body], geoms.inward[p])
     return out
-
-
-@wp.func
-def velocity_at(motion: Motion, start: Start, body: int, lever: wp.vec3d) -> wp.vec3d:
-    spin = start.inertia_inverse[body] * motion.angular_momentum[body]
-    return motion.velocity[body] + wp.cross(spin, lever)
 
 
 @wp.func
@@ -99,7 +93,7 @@ def mean_friction(a: wp.float64, b: wp.float64, otherwise: wp.float64) -> wp.flo
 def put_contact(
     geoms: Geoms,
     motion: Motion,
-    start: Start,
+    boxes: Boxes,
     kept: Kept,
     contacts: Contacts,
     step: Step,
@@ -115,14 +109,9 @@ def put_contact(
     body_b = geoms.body[b]
     n = surface.normal
     touch = place.x + arm
-    approach = (surface.way - place.way) / step.length
-    if body_a >= 0:
-        approach -= velocity_at(motion, start, body_a, touch - motion.position[body_a])
-    if body_b >= 0:
-        approach += velocity_at(motion, start, body_b, touch - motion.position[body_b])
-    margin = least_margin(geoms, a, b)
     gap = surface.gap
-    if gap > margin + wp.max(ZERO, step.length * wp.dot(approach, n)):
+    # Impacts turn bodies about: whatever may come near in the substep, however it moves now, is looked at.
+    if gap > least_margin(geoms, a, b) + boxes.travel[a] + boxes.travel[b]:
         return
     slot = find_slot(contacts, geoms, a, gap)
     if slot < 0:
