@@ -13,6 +13,9 @@ wp.set_module_options({"enable_backward": False})
 
 # Sine of the angle between edges below which they count as parallel: their ends then tell.
 PARALLEL = wp.constant(wp.float64(1e-3))
+# Sine by which a direction may lean into a face and still count as out at its edge: where two faces lie on each
+# other, their edges cross at the corners of what they share, whichever way these lean by rounding.
+LEANING = wp.constant(wp.float64(0.03))
 
 
 @wp.struct
@@ -59,9 +62,8 @@ def segment_at(geoms: Geoms, animated: Animated, motion: Motion, a: int, e: int)
 @wp.func
 def leaves(edge: Segment, n: wp.vec3d) -> bool:
     """Whether a direction goes out at an edge between its faces."""
-    tolerance = wp.float64(1e-6)
-    return wp.dot(n, edge.into_1) <= tolerance * wp.length(edge.into_1) and wp.dot(n, edge.into_2) <= (
-        tolerance * wp.length(edge.into_2)
+    return wp.dot(n, edge.into_1) <= LEANING * wp.length(edge.into_1) and wp.dot(n, edge.into_2) <= (
+        LEANING * wp.length(edge.into_2)
     )
 
 
