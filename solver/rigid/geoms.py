@@ -22,8 +22,9 @@ KINDS = {
     "cone": kinds.CONE,
     "box": kinds.BOX,
 }
-# Points on a rim beside that which is nearest to what it meets.
-RIM_POINTS = 8
+# Points on a rim beside that which is nearest to what it meets: for what stands on it. They lie a little within,
+# so that what rolls does so on the nearest place alone, which is round.
+RIM_POINTS, RIM_PART = 8, 0.995
 # Angle between two faces [rad] from which on they are not one, and their edge is looked at by itself.
 BEND, SHARP = 3e-4, 0.2
 # Contacts that a geom's points and edges can have at once: so many, and so many for each point; at most.
@@ -71,7 +72,7 @@ def of_shape(shape: Shape, frame: np.ndarray) -> Features:
         return _of_box(np.asarray(shape.size, dtype=np.float64), frame)
     rims = ends if shape.kind == "cylinder" else ends[:1]
     turn = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-    circle = radius * np.stack([np.cos(turn), np.sin(turn), np.zeros(RIM_POINTS)], axis=1)
+    circle = RIM_PART * radius * np.stack([np.cos(turn), np.sin(turn), np.zeros(RIM_POINTS)], axis=1)
     fixed = [rim + circle for rim in rims] + ([] if shape.kind == "cylinder" else [ends[1:]])
     fixed = np.concatenate(fixed)
     axis = np.zeros((len(rims) + len(fixed), 3))
