@@ -234,6 +234,17 @@ def test_a_thin_plate_stops_what_hits_it(speed):
     assert scene.points(0)[:, 1].min() > 0.0
 
 
+def test_a_piston_at_ten_metres_a_second_drives_a_box_before_it():
+    """It comes no nearer than 1e-6, and the box goes on as fast."""
+    motion = FormulaMotion(lambda time: placed((10.0 * time, 0.0, 0.0)))
+    piston = solid_box("piston", (0.2, 1.0, 1.0), (-0.4, 0.5, 0.0), motion=motion)
+    scene = Rigid([box(centre=(-0.19, 0.5 * SIZE, 0.0))], [floor(half=100.0), piston])
+    for _ in range(96):
+        scene.substep()
+        assert scene.points(0)[:, 0].min() - (-0.3 + 10.0 * scene.time) > -1e-6
+    assert scene.velocity[0] == pytest.approx([10.0, 0.0, 0.0], abs=1e-6)
+
+
 def test_edges_that_cross_hold_each_other():
     """A bar laid across a bar, both on edge: no corner touches. Depth of the crossing below 1 % of the size."""
     on_edge = rotation_about(np.array([0.0, 0.0, 1.0]), 0.25 * np.pi)
