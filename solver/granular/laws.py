@@ -1,8 +1,8 @@
 """The laws of granular matter there are, behind one interface.
 
 A law is isotropic and keeps of the elastic deformation gradient F only Hencky's strain e = ln(F F^T)/2, a
-symmetric matrix as in `materials/symmetric.py`; how F turned does not matter. It may keep one number more, its memory,
-which starts at zero. A law is a factory of device functions for wp.float32 or wp.float64:
+symmetric matrix as in `materials/symmetric.py`; how F turned does not matter. It may keep one number more, its
+memory, which starts at zero. A law is a factory of device functions for wp.float32 or wp.float64:
 
 energy_density(e, memory, material) -> psi [J/m3] of the volume at rest.
 kirchhoff(e, memory, material) -> tau = (d psi / dF) F^T [Pa], symmetric.

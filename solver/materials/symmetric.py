@@ -5,6 +5,7 @@ any power series in A is c0 + c1 A + c2 A^2 with three numbers that Horner's sch
 Where A is too large for few terms, the function is taken of the eigenvalues.
 """
 
+import math
 from functools import cache
 from types import SimpleNamespace
 
@@ -13,9 +14,11 @@ import warp as wp
 from plait.solver.materials.principal import principal_functions
 from plait.solver.materials.rotation import module_name
 
-# Series serve up to this |A|, with so many terms: what is left out is less than rounding, relative to A.
-LARGEST = 0.1
-TERMS = {wp.float32: 7, wp.float64: 15}
+# Series serve up to |A| of this, and shorter ones nearer zero; with so many terms (exp, ln) what is left out is
+# less than rounding, relative to A.
+LARGEST, NEAR = 0.1, 0.01
+TERMS = {wp.float32: (5, 7), wp.float64: (10, 15)}
+FEW_TERMS = {wp.float32: (3, 4), wp.float64: (7, 8)}
 
 
 @cache
@@ -25,7 +28,11 @@ def symmetric_functions(real: type) -> SimpleNamespace:
     sym = wp.types.vector(6, real)
     vec3, mat33 = wp.types.vector(3, real), wp.types.matrix((3, 3), real)
     eigen = principal_functions(real).eigen
-    largest_squared, terms, further = LARGEST**2, TERMS[real], TERMS[real] - 1
+    largest_squared, near_squared = LARGEST**2, NEAR**2
+    exp_coefficients, log_coefficients = _coefficients(*TERMS[real], real)
+    exp_few, log_few = _coefficients(*FEW_TERMS[real], real)
+    exp_terms, log_terms = TERMS[real]
+    exp_few_terms, log_few_terms = FEW_TERMS[real]
 
     @wp.func(module=module)
     def to_matrix(a: sym):
@@ -91,39 +98,81 @@ def symmetric_functions(real: type) -> SimpleNamespace:
         return from_matrix(V * wp.diag(s) * wp.transpose(V))
 
     @wp.func(module=module)
+    def exp_series(a: sym):
+        """exp A - 1 where A is small."""
+        squared = square(a)
+        I = invariants(a, squared)  # noqa: E741
+        c = vec3()
+        if size_squared(a) <= real(near_squared):
+            for k in range(exp_few_terms):
+                c = times(vec3(c[0] + exp_few[k], c[1], c[2]), I)
+        else:
+            for k in range(exp_terms):
+                c = times(vec3(c[0] + exp_coefficients[k], c[1], c[2]), I)
+        return polynomial(a, squared, c)
+
+    @wp.func(module=module)
+    def log_series(a: sym):
+        """ln(1 + A) where A is small."""
+        squared = square(a)
+        I = invariants(a, squared)  # noqa: E741
+        c = vec3()
+        if size_squared(a) <= real(near_squared):
+            for k in range(log_few_terms):
+                c = times(vec3(c[0] + log_few[k], c[1], c[2]), I)
+        else:
+            for k in range(log_terms):
+                c = times(vec3(c[0] + log_coefficients[k], c[1], c[2]), I)
+        return polynomial(a, squared, c)
+
+    @wp.func(module=module)
+    def is_small(a: sym):
+        """Whether the series serve."""
+        return size_squared(a) <= real(largest_squared)
+
+    @wp.func(module=module)
     def exp_minus_one(a: sym):
         """exp A - 1."""
-        if size_squared(a) <= real(largest_squared):
-            squared = square(a)
-            I = invariants(a, squared)  # noqa: E741
-            c = vec3(real(1.0), real(0.0), real(0.0))
-            for k in range(further):
-                c = times(c, I) * real(wp.static(1.0 / (terms - k)))
-                c[0] = c[0] + real(1.0)
-            return polynomial(a, squared, times(c, I))
+        if is_small(a):
+            return exp_series(a)
         s, V = eigen(to_matrix(a))
         return compose(V, vec3(wp.exp(s[0]) - real(1.0), wp.exp(s[1]) - real(1.0), wp.exp(s[2]) - real(1.0)))
 
     @wp.func(module=module)
-    def log_one_plus(a: sym):
-        """ln(1 + A); NaN where that is not positive definite."""
-        if size_squared(a) <= real(largest_squared):
-            squared = square(a)
-            I = invariants(a, squared)  # noqa: E741
-            c = vec3(real(wp.static(1.0 / terms)), real(0.0), real(0.0))
-            for k in range(further):
-                c = -times(c, I)
-                c[0] = c[0] + real(wp.static(1.0 / (terms - 1 - k)))
-            return polynomial(a, squared, times(c, I))
-        s, V = eigen(to_matrix(a))
-        return compose(V, vec3(wp.log(real(1.0) + s[0]), wp.log(real(1.0) + s[1]), wp.log(real(1.0) + s[2])))
+    def pushed(a: sym, G: mat33):
+        """(1 + G) (1 + A) (1 + G)^T - 1."""
+        P = G + (wp.identity(n=3, dtype=real) + G) * to_matrix(a)
+        Q = wp.transpose(G)
+        return from_matrix(P + Q + P * Q)
+
+    @wp.func(module=module)
+    def deform_far(strain: sym, G: mat33):
+        """As `deform`, by eigenvalues: of the strain, and then of what the deformation makes of it."""
+        a = real(2.0) * strain
+        turn = wp.int32(0)
+        while turn < 2:
+            s, V = eigen(to_matrix(a))
+            if turn == 0:
+                grown = vec3(wp.exp(s[0]) - real(1.0), wp.exp(s[1]) - real(1.0), wp.exp(s[2]) - real(1.0))
+                a = pushed(compose(V, grown), G)
+            else:
+                logs = vec3(wp.log(real(1.0) + s[0]), wp.log(real(1.0) + s[1]), wp.log(real(1.0) + s[2]))
+                a = real(0.5) * compose(V, logs)
+            turn += 1
+        return a
 
     @wp.func(module=module)
     def deform(strain: sym, G: mat33):
-        """Hencky's strain ln(V) of F = V R after a further (1 + G) F: ln((1 + G) exp(2 e) (1 + G)^T) / 2."""
-        P = G + (wp.identity(n=3, dtype=real) + G) * to_matrix(exp_minus_one(real(2.0) * strain))
-        Q = wp.transpose(G)
-        return real(0.5) * log_one_plus(from_matrix(P + Q + P * Q))
+        """Hencky's strain ln(F F^T)/2 after a further (1 + G) F: ln((1 + G) exp(2 e) (1 + G)^T)/2.
+
+        NaN where 1 + G is no deformation.
+        """
+        a = real(2.0) * strain
+        if is_small(a):
+            a = pushed(exp_series(a), G)
+            if is_small(a):
+                return real(0.5) * log_series(a)
+        return deform_far(strain, G)
 
     return SimpleNamespace(
         sym=sym,
@@ -136,6 +185,12 @@ def symmetric_functions(real: type) -> SimpleNamespace:
         compose=compose,
         eigen=eigen,
         exp_minus_one=exp_minus_one,
-        log_one_plus=log_one_plus,
         deform=deform,
     )
+
+
+def _coefficients(exp_terms: int, log_terms: int, real: type) -> tuple[object, object]:
+    """Of A in the series of exp A - 1 and ln(1 + A), the highest power first."""
+    exp = [1.0 / math.factorial(n) for n in range(exp_terms, 0, -1)]
+    log = [(-1.0) ** (n + 1) / n for n in range(log_terms, 0, -1)]
+    return wp.types.vector(exp_terms, real)(*exp), wp.types.vector(log_terms, real)(*log)
