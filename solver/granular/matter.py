@@ -60,6 +60,21 @@ class Matter:
         self.count, self.speed, self.sound = 0, 0.0, 0.0
         self._stale, self._drift, self.sorts = True, 0.0, 0
 
+    def add(self, material: int, positions: np.ndarray, velocities: np.ndarray, volumes: np.ndarray) -> None:
+        """Appends particles of one of the `granular`, at rest in themselves, numbered on.
+
+        positions, velocities: (n, 3) [m], [m/s].  volumes: (n,) [m3].
+        """
+        n, start = len(positions), self.count
+        fields = {"position": positions, "velocity": velocities, "volume": volumes}
+        fields |= {"material": np.full(n, material), "number": np.arange(start, start + n)}
+        for name, values in fields.items():
+            array = getattr(self.particles, name)
+            held = wp.array(values, dtype=array.dtype, device=array.device)
+            wp.copy(array, held, dest_offset=start, count=n)
+        self.count += n
+        self._stale = True
+
     def stable_length(self, cfl: float) -> float:
         """[s] of a step in which nothing goes further than `cfl` cells, and sound no further than is stable."""
         fastest = max(self.speed / cfl, self.sound / SOUND)

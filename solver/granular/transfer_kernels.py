@@ -161,6 +161,7 @@ def transfer_kernels(laws: tuple[GranularLaw, ...], real: type) -> SimpleNamespa
             to = start + (s / 4) * BLOCK * LAYER + ((s / 2) % 2) * BLOCK * ROW + (s % 2) * BLOCK
             for r in range(BLOCK * BLOCK):
                 tile[to + (r / BLOCK) * LAYER + (r % BLOCK) * ROW] = velocity[source + r * BLOCK]
+        number = vec3(real(0.0), one, two)
         origin = blocks.origin[block]
         fastest = real(0.0)
         sound = real(0.0)
@@ -184,7 +185,7 @@ def transfer_kernels(laws: tuple[GranularLaw, ...], real: type) -> SimpleNamespa
                 last = wy[2] * tile[n + 2 * ROW]
                 layer = wx[i] * (wy[0] * tile[n] + middle + last)
                 rows += layer
-                rows_x += real(i) * layer
+                rows_x += number[i] * layer
                 rows_y += wx[i] * (middle + two * last)
             weights = along_row(spline(offset[2]))
             rows = wp.cw_mul(weights, rows)
