@@ -14,10 +14,15 @@ if TYPE_CHECKING:
 # Each module offers `build(model, state) -> Stage | None`; it is imported only when its test holds, so that a
 # feature the scene lacks costs nothing: no arrays, no kernel compiled, no launch.
 FEATURES = (
-    ("kinematics", "plait.solver.kinematics.stage", lambda scene: bool(scene.strands or scene.bodies)),
+    (
+        "kinematics",
+        "plait.solver.kinematics.stage",
+        lambda scene: bool(scene.strands or scene.bodies or scene.granular),
+    ),
     ("tets", "plait.solver.tets.stage", lambda scene: bool(scene.bodies)),
     ("carried", "plait.solver.kinematics.carried", lambda scene: bool(scene.bodies and scene.strands)),
     ("strands", "plait.solver.strands.stage", lambda scene: bool(scene.strands)),
+    ("granular", "plait.solver.granular.stage", lambda scene: bool(scene.granular)),
 )
 
 

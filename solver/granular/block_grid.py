@@ -53,6 +53,11 @@ class BlockGrid:
         nodes = self.data.node_origin.numpy()[: self.node_block_count, None] + local
         return nodes.reshape(-1, 3) * self.cell_size
 
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """(3,), (3,) [m] of all nodes that the particles reach until they are sorted again."""
+        origin = self.data.node_origin.numpy()
+        return origin.min(axis=0) * self.cell_size, (origin.max(axis=0) + BLOCK - 1) * self.cell_size
+
     def _find_order(self, position: wp.array, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Fills `_order`. The box of blocks: its shape and first cell; and each particle's block in it, sorted."""
         launch, device, cells = self._launcher.launch, self._launcher.device, 1.0 / self.cell_size

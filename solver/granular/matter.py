@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from plait.solver.granular.block_grid import BlockGrid
+from plait.solver.granular.energy_kernels import energy_kernels
 from plait.solver.granular.laws import LAWS
 from plait.solver.granular.material import set_material
 from plait.solver.granular.transfer_kernels import LOST, transfer_kernels
@@ -42,7 +43,7 @@ class Matter:
     ) -> None:  # fmt: skip
         self.types, self._launcher, self._real = granular_types(real), launcher, real
         laws = tuple(sorted({g.law for g in granular}))
-        self.kernels = transfer_kernels(laws, real)
+        self.kernels, self._laws, self._gravity = transfer_kernels(laws, real), laws, np.asarray(gravity)
         self.grid = BlockGrid(cell_size, real, launcher)
         device = launcher.device
         materials = []
@@ -51,6 +52,7 @@ class Matter:
             set_material(material, g, laws.index(g.law), LAWS[g.law].parameters(g))
             materials.append(material)
         self.materials = wp.array(materials, dtype=self.types.Material, device=device)
+        self._sound_at_rest = [np.sqrt((2.0 * m.mu + m.lam) / m.density) for m in materials]
         self.particles = self.types.Particles()
         for name, held in self.types.Particles.vars.items():
             setattr(self.particles, name, wp.zeros(capacity, dtype=held.type.dtype, device=device))
@@ -74,6 +76,8 @@ class Matter:
             wp.copy(array, held, dest_offset=start, count=n)
         self.count += n
         self._stale = True
+        self.speed = float(np.maximum(self.speed, np.abs(velocities).max(initial=0.0)))
+        self.sound = max(self.sound, self._sound_at_rest[material])
 
     def stable_length(self, cfl: float) -> float:
         """[s] of a step in which nothing goes further than `cfl` cells, and sound no further than is stable."""
@@ -115,3 +119,11 @@ class Matter:
         self.speed, self.sound = self._speeds.numpy().max(axis=0).tolist()
         self._drift += self.speed * self._step.length / grid.cell_size
         return self.speed < LOST
+
+    def energies(self) -> tuple[float, float, float]:
+        """[J] of motion, of strain, and in gravity, of which the zero is at the scene's origin."""
+        grid, kernel = self.grid, energy_kernels(self._laws, self._real).measure_energies
+        energy = wp.zeros(grid.block_count, dtype=wp.vec3d, device=self._launcher.device)
+        inputs = [self.particles, grid.data, self.materials, wp.vec3d(*self._gravity)]
+        self._launcher.launch(kernel, grid.block_count, inputs, [energy], work_per_item=self._work)
+        return tuple(energy.numpy().sum(axis=0).tolist())
