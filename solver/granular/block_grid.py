@@ -53,6 +53,12 @@ class BlockGrid:
         nodes = self.data.node_origin.numpy()[: self.node_block_count, None] + local
         return nodes.reshape(-1, 3) * self.cell_size
 
+    @property
+    def bytes(self) -> int:
+        """What the grid and the sorting hold in memory."""
+        data = (self.data.first, self.data.corner, self.data.source, self.data.origin, self.data.node_origin)
+        return sum(array.capacity for array in (self._order, self._room, self.node, self.velocity, *data))
+
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """(3,), (3,) [m] of all nodes that the particles reach until they are sorted again."""
         origin = self.data.node_origin.numpy()
