@@ -22,8 +22,8 @@ from plait.solver.settings import GranularSettings, Settings
 
 CELL, PER_CELL = 0.01, 8
 DENSITY, YOUNG, POISSON, ANGLE, FRICTION = 1600.0, 3.5e5, 0.3, 0.6, 0.5
-FRAME = 1.0 / 24.0
-WARM_FRAMES, TIMED_FRAMES = 3, 4
+SPAN = 5e-3  # [s] timed at once
+FALL, TIMED_SPANS = 0.1, 5
 # A span of these; they cost the same all along, but for the particles' order, which is best at the start.
 STEPS_IN_TAICHI = 30
 GROWTH = (10_000, 100_000, 500_000, 2_000_000)
@@ -61,7 +61,7 @@ def scene(count: int) -> Scene:
 def timed(step: Callable[[], int]) -> tuple[list[float], list[float]]:
     """ns of wall and processor time per particle and step; `step` returns particles times the steps it did."""
     walls, processors = [], []
-    for _ in range(TIMED_FRAMES):
+    for _ in range(TIMED_SPANS):
         wall, processor = time.perf_counter(), time.process_time()
         done = step()
         walls.append((time.perf_counter() - wall) / done * 1e9)
@@ -69,21 +69,20 @@ def timed(step: Callable[[], int]) -> tuple[list[float], list[float]]:
     return walls, processors
 
 
-def cost(count: int, threads: int) -> dict[str, float]:
+def cost(count: int, threads: int, fall: float = FALL) -> dict[str, float]:
+    """After the block has fallen for so long [s]."""
     simulation = build(
         scene(count), Settings(threads=threads, substeps=1, granular=GranularSettings(cell_size=CELL))
     )
-    frame, steps = 0, 0
+    simulation.advance_frame(fall)
+    steps = 0
 
     def advance() -> int:
-        nonlocal frame, steps
-        frame += 1
-        metrics = simulation.advance_frame(frame * FRAME)["granular"]
+        nonlocal steps
+        metrics = simulation.advance_frame(simulation.state.time + SPAN)["granular"]
         steps += metrics["steps"]
         return metrics["steps"] * metrics["particles"]
 
-    for _ in range(WARM_FRAMES):
-        advance()
     walls, processors = timed(advance)
     matter = simulation.model.parts["granular"].matter
     held = sum(array.capacity for array in simulation.state.arrays.values())
@@ -94,7 +93,7 @@ def cost(count: int, threads: int) -> dict[str, float]:
         "wall_median": statistics.median(walls),
         "processor": min(processors) / threads,
         "bytes": (held + matter.grid.bytes) / matter.count,
-        "step": frame * FRAME / steps,
+        "step": TIMED_SPANS * SPAN / steps,
     }
 
 
@@ -194,7 +193,7 @@ def main() -> None:
     parser.add_argument("--without-taichi", action="store_true")
     options = parser.parse_args()
     if options.growth:
-        rows = [cost(count, options.threads) for count in GROWTH]
+        rows = [cost(count, options.threads, SPAN) for count in GROWTH]
         for row in rows:
             print("  ".join(f"{name} {value:.5g}" for name, value in row.items()))
         total = np.log([row["particles"] * row["processor"] for row in rows])
