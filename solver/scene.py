@@ -309,7 +309,7 @@ class Granular:
     widths: (particle_count,) float64 [m], diameters to be drawn; they play no part in the physics.
     ids: (particle_count,) int64, kept through the run; those emitted are numbered on from the largest.
     density: [kg/m3] of the matter with its pores.  youngs_modulus: [Pa].  poissons_ratio.
-    friction_angle: [radians] of 'sand', inner friction and the slope it piles up at.
+    friction_angle: [radians] of 'sand', the slope down which it flows.
     critical_compression, critical_stretch: of 'snow', the singular values of F that it yields at are 1 less the
         first and 1 plus the second.  hardening: of 'snow', the exponent xi (Stomakhin et al. 2013, table 2).
     friction: Coulomb coefficient against surfaces that tell none; of several Granular the first that are there

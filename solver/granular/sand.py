@@ -1,10 +1,14 @@
 """Dry sand: elastic under pressure, sliding by Coulomb's law, apart without resistance (Klar et al. 2016).
 
 The Kirchhoff stress is tau = 2 mu e + lambda tr e of Hencky's strain e = ln(F F^T)/2. Admissible is
-    tr e <= 0  and  |dev e| + alpha (3 lambda + 2 mu) / (2 mu) tr e <= 0    (their (27), alpha as in 'cone_slope')
+    tr e <= 0  and  |dev e| + alpha (3 lambda + 2 mu) / (2 mu) tr e <= 0    (their (27))
 and what is not goes back along dev e, which takes no eigenvectors; under tension, to no strain at all. What volume
 is gained there, ln of it, is remembered and given back when the matter is pressed together again (Tampubolon et
 al. 2017, section 4.3.4): else sand that has come apart and back would swell.
+
+alpha = sqrt(2)/3 tan phi, so that |dev tau| = sqrt(2) tan phi p: matter that flows down a slope does so at the
+friction angle phi (Jop, Forterre and Pouliquen 2006, (2)). Klar's alpha is that of triaxial compression, by which
+such a slope holds up to 34.7 degrees for phi = 30.
 """
 
 from functools import cache
@@ -14,7 +18,6 @@ import numpy as np
 import warp as wp
 
 from plait.solver.granular.material import material_type
-from plait.solver.materials.drucker_prager import cone_slope
 from plait.solver.materials.rotation import module_name
 from plait.solver.materials.symmetric import symmetric_functions
 from plait.solver.scene import Granular
@@ -22,7 +25,7 @@ from plait.solver.scene import Granular
 
 def parameters(granular: Granular) -> tuple[float, ...]:
     """alpha."""
-    return (float(cone_slope(np.tan(granular.friction_angle))),)
+    return (float(np.sqrt(2.0) / 3.0 * np.tan(granular.friction_angle)),)
 
 
 @cache

@@ -15,7 +15,7 @@ STEP = 1e-5  # central differences: error STEP^2 times the third derivative, and
 UNIT = {"youngs_modulus": 2.0, "poissons_ratio": 0.3}
 MU, LAM = 2.0 / 2.6, 2.0 * 0.3 / (1.3 * 0.4)
 ANGLE = 0.6
-SLOPE = np.sqrt(2.0 / 3.0) * 2.0 * np.sin(ANGLE) / (3.0 - np.sin(ANGLE))
+SLOPE = np.sqrt(2.0) / 3.0 * np.tan(ANGLE)
 each_law = pytest.mark.parametrize("law", sorted(LAWS))
 
 
@@ -112,11 +112,11 @@ def test_sand_goes_back_to_the_cone():
 
 
 def test_sands_cone_is_coulombs():
-    """Sliding in triaxial compression: (t1 - t3) / (t1 + t3) = sin phi of the principal stresses."""
+    """Sliding in plane shear: the shear stress is tan phi times the pressure (Jop et al. 2006 (2))."""
     probe = Probe(matter("sand", friction_angle=ANGLE, **UNIT))
-    e, _ = probe.return_map(np.diag([-0.1, 0.03, 0.03])[None])
-    most, least = -probe.state(e)[1][0, 0, 0], -probe.state(e)[1][0, 1, 1]
-    assert (most - least) / (most + least) == pytest.approx(np.sin(ANGLE), rel=1e-10)
+    e, _ = probe.return_map(np.array([[[-0.02, 0.1, 0.0], [0.1, -0.02, 0.0], [0.0, 0.0, -0.02]]]))
+    tau = probe.state(e)[1][0]
+    assert tau[0, 1] == pytest.approx(-np.tan(ANGLE) * np.trace(tau) / 3.0, rel=1e-10)
 
 
 def test_sand_gives_back_the_volume_it_gained():
