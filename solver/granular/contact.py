@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from plait.solver.contact.bodies import rim_features
-from plait.solver.granular.contact_kernels import MovingSurface, contact_kernels, find_depths
+from plait.solver.granular.contact_kernels import AT_SURFACE, MovingSurface, contact_kernels, find_depths
 from plait.solver.granular.matter import Matter
 from plait.solver.granular.types import BLOCK, BLOCK_NODES
 from plait.solver.kinematics.colliders import Collider
@@ -121,7 +121,8 @@ class SurfaceContact:
         launch = self._launcher.launch
         launch(find_depths, count, inputs, [height, normal, velocity], work_per_item=QUERY_WORK)
         node = (chosen[:, None] * BLOCK_NODES + np.arange(BLOCK_NODES)).ravel()
-        above = height.numpy() - collider.surface.thickness
+        # A node on the surface, but for rounding, is behind it.
+        above = height.numpy() - collider.surface.thickness - float(AT_SURFACE) * grid.cell_size
         least = above - substep.length * np.maximum(np.einsum("na,na->n", velocity.numpy(), normal.numpy()), 0.0)
         kept = least <= 0.0
         return node[kept], above[kept], normal.numpy()[kept], velocity.numpy()[kept]

@@ -140,7 +140,7 @@ def test_slides_on_a_plate_by_its_friction(friction):
 @pytest.mark.slow
 @pytest.mark.parametrize("degrees", [28.0, 34.0])
 def test_flows_down_slopes_steeper_than_its_friction_angle(degrees):
-    """A layer on rough ground, 3 degrees steeper than phi: faster by g (sin theta - tan phi cos theta), to 1 degree.
+    """3 degrees steeper than phi a layer gets faster by g (sin theta - tan phi cos theta), to 1 degree.
 
     And 3 degrees less steep it stays. One degree is g (cos theta + tan phi sin theta) pi/180 of acceleration.
     """
@@ -149,7 +149,7 @@ def test_flows_down_slopes_steeper_than_its_friction_angle(degrees):
     sand = heap(places, youngs_modulus=1e6, friction_angle=phi, density=1600.0)
     middle = (np.abs(places[:, 0] - length * CELL / 2) < 0.05 * length * CELL) & (places[:, 1] > 6 * CELL)
     walls = [plate(1e3, (0.0, 0.0, z), friction=0.0) for z in (1.0, -1.0)]
-    walls[1] = replace(walls[1], points=walls[1].points + [0.0, 0.0, 2 * CELL])
+    walls[1] = replace(walls[1], points=walls[1].points + np.array([0.0, 0.0, 2 * CELL]))
     faster = []
     for theta in (phi - np.radians(3.0), phi + np.radians(3.0)):
         gravity = 9.81 * np.array([np.sin(theta), -np.cos(theta), 0.0])
