@@ -142,27 +142,27 @@ def test_slides_on_a_plate_by_its_friction(friction):
 def test_flows_down_slopes_steeper_than_its_friction_angle(degrees):
     """3 degrees steeper than phi a layer gets faster by g (sin theta - tan phi cos theta), to 1 degree.
 
-    And 3 degrees less steep it stays. One degree is g (cos theta + tan phi sin theta) pi/180 of acceleration.
+    And 3 degrees less steep it comes to rest. One degree is g (cos phi + tan phi sin phi) pi/180 of acceleration.
     """
     phi, length, cells = np.radians(degrees), 160, (160, 8, 2)
     places = lattice(cells)
     sand = heap(places, youngs_modulus=1e6, friction_angle=phi, density=1600.0)
     middle = (np.abs(places[:, 0] - length * CELL / 2) < 0.05 * length * CELL) & (places[:, 1] > 6 * CELL)
-    walls = [plate(1e3, (0.0, 0.0, z), friction=0.0) for z in (1.0, -1.0)]
+    walls = [plate(1e2, (0.0, 0.0, z), friction=0.0) for z in (1.0, -1.0)]
     walls[1] = replace(walls[1], points=walls[1].points + np.array([0.0, 0.0, 2 * CELL]))
-    faster = []
+    degree = 9.81 * (np.cos(phi) + np.tan(phi) * np.sin(phi)) * np.pi / 180.0
     for theta in (phi - np.radians(3.0), phi + np.radians(3.0)):
         gravity = 9.81 * np.array([np.sin(theta), -np.cos(theta), 0.0])
-        surfaces = (plate(1e3, friction=10.0), *walls)
+        surfaces = (plate(1e2, friction=10.0), *walls)
         simulation = simulated(Scene(surfaces=surfaces, granular=(sand,), gravity=gravity))
         speeds = []
         for _ in range(2):
             run(simulation, 12)
             speeds.append(simulation.model.parts["granular"].grains(0).velocities[middle, 0].mean())
-        faster.append((speeds[1] - speeds[0]) / (12 * FRAME))
-    degree = 9.81 * (np.cos(theta) + np.tan(phi) * np.sin(theta)) * np.pi / 180.0
-    assert abs(faster[0]) < degree
-    assert abs(faster[1] - 9.81 * (np.sin(theta) - np.tan(phi) * np.cos(theta))) < degree
+        if theta < phi:
+            assert abs(speeds[1]) < 12 * FRAME * degree
+    faster = (speeds[1] - speeds[0]) / (12 * FRAME)
+    assert abs(faster - 9.81 * (np.sin(theta) - np.tan(phi) * np.cos(theta))) < degree
 
 
 def test_goes_on_from_a_saved_state_bit_for_bit():
