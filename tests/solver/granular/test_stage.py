@@ -165,6 +165,31 @@ def test_flows_down_slopes_steeper_than_its_friction_angle(degrees):
     assert abs(faster - 9.81 * (np.sin(theta) - np.tan(phi) * np.cos(theta))) < degree
 
 
+@pytest.mark.slow
+def test_a_snowball_thrown_on_a_wall_breaks():
+    """Thrown aslant at 7 m/s it is packed where it strikes and torn elsewhere; at .1 m/s it stays whole.
+
+    The pressure of the blow, density times speed squared, is 6 times the strength theta_c E there, and less than
+    a hundredth here. Torn is what has come to twice its volume, packed what has lost a tenth of it for good.
+    """
+    places = lattice((8, 8, 8), (-4 * CELL,) * 3)
+    places = places[np.linalg.norm(places, axis=1) < 4 * CELL] + [5 * CELL, 0.0, 0.0]
+    for speed, broken in ((5.0, True), (0.07, False)):
+        snow = heap(
+            places, (-speed, speed, 0.0), law="snow", youngs_modulus=1.4e5, poissons_ratio=0.2, density=400.0
+        )
+        wall = plate(6.0, (1.0, 0.0, 0.0), friction=0.5)
+        simulation = simulated(Scene(surfaces=(wall,), granular=(snow,), gravity=np.zeros(3)))
+        simulation.advance_frame(1.0 * CELL / speed)  # until it touches
+        run(simulation, 8)
+        volume = np.exp(simulation.state.arrays["granular/memory"].numpy())
+        torn, packed = (volume > 2.0).mean(), (volume < 0.9).mean()
+        if broken:
+            assert torn > 0.05 and packed > 0.05
+        else:
+            assert torn == 0.0 and packed == 0.0
+
+
 def test_goes_on_from_a_saved_state_bit_for_bit():
     """A run taken up at a frame's end is the run that was not left, with sand poured in meanwhile."""
     scene = poured_scene()
