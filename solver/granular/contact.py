@@ -37,8 +37,7 @@ class SurfaceContact:
             for index, surface in enumerate(model.scene.surfaces)
         }
         self._near: list[Collider] = []
-        self._rims: dict[int, wp.array] = {}
-        self._found_at = -1.0
+        self._rim = self._find_rims()
         self._sorts, self._count, self.speed = -1, 0, 0.0
         self._surface = np.zeros(0, dtype=np.int64)
         self.impulse: dict[int, np.ndarray] = {}
@@ -127,6 +126,15 @@ class SurfaceContact:
         kept = least <= 0.0
         return node[kept], above[kept], normal.numpy()[kept], velocity.numpy()[kept]
 
+    def _find_rims(self) -> wp.array:
+        """(triangle_count,) bits of the features of each triangle that lie on an open border."""
+        colliders = self._kinematics.colliders
+        held = colliders.triangles.numpy()
+        rims = [
+            rim_features(held[c.first_triangle :][: c.triangle_count] - c.first_point) for c in colliders.items
+        ]
+        return wp.array(np.concatenate(rims), dtype=wp.int32, device=self._launcher.device)
+
     def _posed(self, collider: Collider) -> MovingSurface:
         kinematics, colliders = self._kinematics, self._kinematics.colliders
         surface = MovingSurface()
@@ -135,11 +143,5 @@ class SurfaceContact:
         surface.points_start = colliders.points[kinematics.start]
         surface.points_end = colliders.points[kinematics.end]
         surface.length = self._substep.length
-        if not self._rims:
-            held = colliders.triangles.numpy()
-            rims = [
-                rim_features(held[c.first_triangle :][: c.triangle_count] - c.first_point) for c in colliders.items
-            ]
-            self._rims[0] = wp.array(np.concatenate(rims), dtype=wp.int32, device=self._launcher.device)
-        surface.rim = self._rims[0]
+        surface.rim = self._rim
         return surface
