@@ -7,44 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plait.solver.build import build
 from plait.solver.diagnostics import Diverged
 from plait.solver.scene import Emitter, Granular, KeyedMotion, Scene, Surface
-from plait.solver.settings import Settings
 
-from .heaps import CELL, granular
+from .heaps import CELL, FRAME, granular, lattice, plate, run, simulated
 
-FRAME = 1.0 / 24.0
 SOFT = {"youngs_modulus": 2e4, "density": 1000.0}
-
-
-def lattice(cells: tuple[int, int, int], corner=(0.0, 0.0, 0.0)) -> np.ndarray:
-    """Eight places to a cell, from `corner` [m]."""
-    places = np.indices(2 * np.array(cells)).reshape(3, -1).T + 0.5
-    return places * CELL / 2 + corner
 
 
 def heap(places: np.ndarray, velocity=(0.0, 0.0, 0.0), **values) -> Granular:
     return granular(places, np.tile(velocity, (len(places), 1)), **(SOFT | values))
-
-
-def plate(size: float, normal=(0.0, 1.0, 0.0), **values) -> Surface:
-    """A square through the origin, facing along `normal`."""
-    n = np.array(normal) / np.linalg.norm(normal)
-    a = np.cross(n, [0.0, 0.0, 1.0] if abs(n[2]) < 0.9 else [1.0, 0.0, 0.0])
-    a *= size / np.linalg.norm(a)
-    b = np.cross(n, a)
-    points = np.array([-a - b, a - b, a + b, b - a])
-    return Surface("plate", points, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32), **values)
-
-
-def run(simulation, frames: int) -> list[dict]:
-    start = simulation.state.time
-    return [simulation.advance_frame(start + (k + 1) * FRAME)["granular"] for k in range(frames)]
-
-
-def simulated(scene: Scene, **settings):
-    return build(scene, Settings(threads=1, substeps=2, **settings))
 
 
 def test_falls_as_thrown():
