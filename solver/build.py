@@ -17,7 +17,7 @@ FEATURES = (
     (
         "kinematics",
         "plait.solver.kinematics.stage",
-        lambda scene: bool(scene.strands or scene.bodies or scene.rigid_bodies),
+        lambda scene: bool(scene.strands or scene.bodies or scene.rigid_bodies or scene.granular),
     ),
     ("rigid", "plait.solver.rigid.stage", lambda scene: bool(scene.rigid_bodies)),
     ("tets", "plait.solver.tets.stage", lambda scene: bool(scene.bodies)),
@@ -27,6 +27,7 @@ FEATURES = (
         lambda scene: bool((scene.bodies or scene.rigid_bodies) and scene.strands),
     ),
     ("strands", "plait.solver.strands.stage", lambda scene: bool(scene.strands)),
+    ("granular", "plait.solver.granular.stage", lambda scene: bool(scene.granular)),
 )
 
 

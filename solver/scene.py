@@ -22,6 +22,7 @@ SkinningMethod = Literal["linear", "dual-quaternion"]
 ElasticLaw = Literal["fixed-corotated", "neo-hookean", "stvk"]
 ShapeKind = Literal["sphere", "capsule", "cylinder", "cone", "box"]
 JointKind = Literal["fixed", "revolute", "spherical", "prismatic"]
+GranularLaw = Literal["sand", "snow"]
 
 
 @dataclass(frozen=True)
@@ -351,6 +352,60 @@ class Attachment:
 
 
 @dataclass(frozen=True)
+class Emitter:
+    """Pours particles of a `Granular` in, at random places of a box, while it is on.
+
+    rate: [1/s] particles.  limit: particles in all.  seed: of the places, which depend on nothing else.
+    lower, upper: (3,) float64 [m], world, corners of the box.
+    velocity: (3,) float64 [m/s], world.  volume: [m3] of each.  width: [m] of each.
+    """
+
+    rate: float
+    limit: int
+    lower: np.ndarray
+    upper: np.ndarray
+    velocity: np.ndarray
+    volume: float
+    width: float
+    seed: int = 0
+    switch: Switch = field(default_factory=AlwaysOn)
+
+
+@dataclass(frozen=True)
+class Granular:
+    """Matter that flows, breaks and piles up: sand, snow. One prim's worth of particles, unstrained as given.
+
+    positions: (particle_count, 3) float64 [m], world.  velocities: (particle_count, 3) float64 [m/s], world.
+    volumes: (particle_count,) float64 [m3], the room each fills at rest; its mass is density times that.
+    widths: (particle_count,) float64 [m], diameters to be drawn; they play no part in the physics.
+    ids: (particle_count,) int64, kept through the run; those emitted are numbered on from the largest.
+    density: [kg/m3] of the matter with its pores.  youngs_modulus: [Pa].  poissons_ratio.
+    friction_angle: [radians] of 'sand', the slope down which it flows.
+    critical_compression, critical_stretch: of 'snow', the singular values of F that it yields at are 1 less the
+        first and 1 plus the second.  hardening: of 'snow', the exponent xi (Stomakhin et al. 2013, table 2).
+    friction: Coulomb coefficient against surfaces that tell none; of several Granular the first that are there
+        say it for all.
+    """
+
+    name: str
+    law: GranularLaw
+    positions: np.ndarray
+    velocities: np.ndarray
+    volumes: np.ndarray
+    widths: np.ndarray
+    ids: np.ndarray
+    density: float = 1600.0
+    youngs_modulus: float = 3.5e5
+    poissons_ratio: float = 0.3
+    friction_angle: float = 0.6
+    critical_compression: float = 2.5e-2
+    critical_stretch: float = 7.5e-3
+    hardening: float = 10.0
+    friction: float = 0.5
+    emitter: Emitter | None = None
+
+
+@dataclass(frozen=True)
 class Scene:
     """All that a run needs to know of a shot.
 
@@ -367,3 +422,4 @@ class Scene:
     rigid_bodies: tuple[RigidBody, ...] = ()
     joints: tuple[Joint, ...] = ()
     filtered: tuple[tuple[int, int], ...] = ()
+    granular: tuple[Granular, ...] = ()

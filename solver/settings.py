@@ -103,6 +103,17 @@ class GridSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     cfl: Positive = 0.5
 
 
+class GranularSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """[granular]: sand and snow on a grid.
+
+    cell_size: [m]; 0 takes eight particles to a cell.
+    cfl: no particle moves further than this part of a cell in a step of the matter.
+    """
+
+    cell_size: Annotated[float, msgspec.Meta(ge=0.0, lt=FINITE)] = 0.0
+    cfl: Positive = 0.3
+
+
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where and how finely to solve.
 
@@ -121,3 +132,4 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     flesh: FleshSettings = FleshSettings()
     grid: GridSettings = GridSettings()
     rigid: RigidSettings = RigidSettings()
+    granular: GranularSettings = GranularSettings()

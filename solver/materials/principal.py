@@ -18,7 +18,7 @@ SWEEPS = 8
 
 @cache
 def principal_functions(real: type) -> SimpleNamespace:
-    """`PrincipalHessian` and device functions `decompose`, `at_least`, `block` for `real`."""
+    """`PrincipalHessian` and device functions `eigen`, `decompose`, `at_least`, `block` for `real`."""
     rotations = rotation_functions(real)
     mat33, vec3, rotation = rotations.mat33, rotations.vec3, rotations.rotation
     module = module_name(real)
@@ -113,4 +113,6 @@ def principal_functions(real: type) -> SimpleNamespace:
                     K[i, j] = hessian.normal[i, j] * a[i] * b[j] + swapped * a[j] * b[i]
         return U * K * wp.transpose(U)
 
-    return SimpleNamespace(PrincipalHessian=PrincipalHessian, decompose=decompose, at_least=at_least, block=block)
+    return SimpleNamespace(
+        PrincipalHessian=PrincipalHessian, eigen=eigen, decompose=decompose, at_least=at_least, block=block
+    )

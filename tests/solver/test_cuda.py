@@ -13,6 +13,10 @@ import warp as wp
 
 import plait.solver
 from plait.solver.contact.obstacle_force_kernels import tet_kernels
+from plait.solver.granular.contact_kernels import contact_kernels
+from plait.solver.granular.energy_kernels import energy_kernels
+from plait.solver.granular.laws import LAWS as GRANULAR_LAWS
+from plait.solver.granular.transfer_kernels import transfer_kernels
 from plait.solver.linear.block_kernels import block_kernels
 from plait.solver.linear.coarse_kernels import coarse_kernels
 from plait.solver.materials.laws import LAWS
@@ -34,6 +38,7 @@ MADE = (
     coarse_kernels,
     coupled_kernels,
     body_kernels,
+    contact_kernels,
     damping_kernels,
     explicit_kernels,
     skin_kernels,
@@ -49,6 +54,8 @@ def kernels() -> Iterator[wp.Kernel]:
         yield from vars(tet_kernels(real)).values()
         for made in MADE:
             yield from vars(made(real)).values()
+        for made in (transfer_kernels, energy_kernels):
+            yield from vars(made(tuple(GRANULAR_LAWS), real)).values()
         for law in LAWS:
             yield from vars(element_kernels(law, real)).values()
 

@@ -1,0 +1,1 @@
+"""Sand and snow: particles that meet on a background grid."""

@@ -1,0 +1,129 @@
+"""Particles of sand and snow, and how they step: the method without the scene around it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import warp as wp
+
+from plait.solver.granular.block_grid import BlockGrid
+from plait.solver.granular.energy_kernels import energy_kernels
+from plait.solver.granular.laws import LAWS
+from plait.solver.granular.material import set_material
+from plait.solver.granular.transfer_kernels import LOST, transfer_kernels
+from plait.solver.granular.types import BLOCK_NODES, granular_types
+from plait.solver.launch import Launcher
+from plait.solver.scene import Granular
+
+# Sorted particles may go so far [cells] along an axis before they are sorted again; the tiles allow for one.
+DRIFT = 0.9
+# Sound goes no further than this part of a cell in a step.
+SOUND = 0.4
+# Costs in units of `Launcher.launch`.
+PARTICLE_WORK, NODE_WORK = 4, 1
+
+
+class Matter:
+    """All granular matter of a scene on one grid.
+
+    A step of `length` [s]:
+
+        matter.to_grid(length)           `grid.node` holds momentum, internal forces included, and mass
+        matter.to_velocities()           `grid.velocity` after gravity; whoever acts on it does so now
+        matter.to_particles()
+
+    particles: struct `Particles`, room for `capacity`, of which the first `count` are.
+    sound: [m/s] the fastest in any particle.  speed: [m/s] the largest part of any velocity along an axis.
+    """
+
+    def __init__(
+        self, granular: Sequence[Granular], capacity: int, cell_size: float, gravity: np.ndarray, real: type,
+        launcher: Launcher,
+    ) -> None:  # fmt: skip
+        self.types, self._launcher, self._real = granular_types(real), launcher, real
+        laws = tuple(sorted({g.law for g in granular}))
+        self.kernels, self._laws, self._gravity = transfer_kernels(laws, real), laws, np.asarray(gravity)
+        self.grid = BlockGrid(cell_size, real, launcher)
+        device = launcher.device
+        materials = []
+        for g in granular:
+            material = self.types.Material()
+            set_material(material, g, laws.index(g.law), LAWS[g.law].parameters(g))
+            materials.append(material)
+        self.materials = wp.array(materials, dtype=self.types.Material, device=device)
+        self._sound_at_rest = [np.sqrt((2.0 * m.mu + m.lam) / m.density) for m in materials]
+        self.particles = self.types.Particles()
+        for name, held in self.types.Particles.vars.items():
+            setattr(self.particles, name, wp.zeros(capacity, dtype=held.type.dtype, device=device))
+        self._step = self.types.Step()
+        self._step.cell_size, self._step.cells = cell_size, 1.0 / cell_size
+        self._step.gravity = self.types.vec3(*gravity)
+        self.count, self.speed, self.sound = 0, 0.0, 0.0
+        self._stale, self._drift, self.sorts = True, 0.0, 0
+
+    def add(self, material: int, positions: np.ndarray, velocities: np.ndarray, volumes: np.ndarray) -> None:
+        """Appends particles of one of the `granular`, at rest in themselves, numbered on.
+
+        positions, velocities: (n, 3) [m], [m/s].  volumes: (n,) [m3].
+        """
+        n, start = len(positions), self.count
+        fields = {"position": positions, "velocity": velocities, "volume": volumes}
+        fields |= {"material": np.full(n, material), "number": np.arange(start, start + n)}
+        for name, values in fields.items():
+            array = getattr(self.particles, name)
+            held = wp.array(values, dtype=array.dtype, device=array.device)
+            wp.copy(array, held, dest_offset=start, count=n)
+        self.count += n
+        self._stale = True
+        self.speed = float(np.maximum(self.speed, np.abs(velocities).max(initial=0.0)))
+        self.sound = max(self.sound, self._sound_at_rest[material])
+
+    def stable_length(self, cfl: float) -> float:
+        """[s] of a step in which nothing goes further than `cfl` cells, and sound no further than is stable."""
+        fastest = max(self.speed / cfl, self.sound / SOUND)
+        return self.grid.cell_size / fastest if fastest > 0.0 else np.inf
+
+    def sort(self) -> None:
+        """Puts the particles in cell order now."""
+        self.grid.sort(self.particles, self.count)
+        self._stale, self._drift = False, 0.0
+        self.sorts += 1
+        self._speeds = wp.zeros(self.grid.block_count, dtype=wp.vec2d, device=self._launcher.device)
+        self._work = PARTICLE_WORK * max(1, self.count // self.grid.block_count)
+
+    def to_grid(self, length: float) -> None:
+        """Fills `grid.node` for a step of `length` [s]."""
+        if self._stale or self._drift > DRIFT:
+            self.sort()
+        grid, launch = self.grid, self._launcher.launch
+        self._step.length = length
+        inputs = [self.particles, grid.data, self.materials, self._step]
+        launch(self.kernels.to_tiles, grid.block_count, inputs, [grid.tile], work_per_item=self._work)
+        inputs = [grid.data, grid.tile]
+        work = NODE_WORK * BLOCK_NODES
+        launch(self.kernels.to_nodes, grid.node_block_count, inputs, [grid.node_rows], work_per_item=work)
+
+    def to_velocities(self) -> None:
+        """Fills `grid.velocity`."""
+        grid, launch = self.grid, self._launcher.launch
+        inputs, work = [grid.node, self._step], NODE_WORK * BLOCK_NODES
+        launch(self.kernels.to_velocities, grid.node_block_count, inputs, [grid.velocity], work_per_item=work)
+
+    def to_particles(self) -> bool:
+        """Moves and deforms the particles; False where one is lost, no longer finite."""
+        grid = self.grid
+        inputs = [self.particles, grid.data, self.materials, self._step, grid.velocity_rows, grid.tile]
+        launch = self._launcher.launch
+        launch(self.kernels.to_particles, grid.block_count, inputs, [self._speeds], work_per_item=self._work)
+        self.speed, self.sound = self._speeds.numpy().max(axis=0).tolist()
+        self._drift += self.speed * self._step.length / grid.cell_size
+        return self.speed < LOST
+
+    def energies(self) -> tuple[float, float, float]:
+        """[J] of motion, of strain, and in gravity, of which the zero is at the scene's origin."""
+        grid, kernel = self.grid, energy_kernels(self._laws, self._real).measure_energies
+        energy = wp.zeros(grid.block_count, dtype=wp.vec3d, device=self._launcher.device)
+        inputs = [self.particles, grid.data, self.materials, wp.vec3d(*self._gravity)]
+        self._launcher.launch(kernel, grid.block_count, inputs, [energy], work_per_item=self._work)
+        return tuple(energy.numpy().sum(axis=0).tolist())
