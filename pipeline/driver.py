@@ -101,7 +101,8 @@ class _Run:
 
     def run(self, stop: StopRequest) -> int:
         """Everything from an empty or half-filled folder to the finished cache."""
-        if not (self.shot.scene.strands or self.shot.scene.bodies):
+        scene = self.shot.scene
+        if not (scene.strands or scene.bodies or scene.rigid_bodies):
             self.writer.open()
             name = self.shot.info.path.name
             self.progress.log(f"nothing to simulate in {name}; {self.output} shows it as it is")

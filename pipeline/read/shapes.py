@@ -74,6 +74,11 @@ def _plane(source: Source, prim: Usd.Prim) -> Polygons:
     return corners @ _turn(_axis(prim)).T, np.array([4]), np.arange(4)
 
 
+def turn_to_axis(prim: Usd.Prim) -> np.ndarray:
+    """(3, 3), the rotation that takes Z to the prim's axis."""
+    return _turn(_axis(prim))
+
+
 def _axis(prim: Usd.Prim) -> str:
     return str(prim.GetAttribute("axis").Get())
 
