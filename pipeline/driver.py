@@ -187,14 +187,14 @@ class _Run:
         except Diverged as error:
             raise PlaitError(
                 f"{self.shot.info.path}: {error} (frame {leg.code:g}); the frames before it are kept; "
-                f"try more substeps, or {self._softer()}"
+                f"try {' or '.join(['more substeps', *self._softer()])}"
             ) from error
         self.metrics.add(index, leg.code, time.perf_counter() - started, figures)
 
-    def _softer(self) -> str:
+    def _softer(self) -> list[str]:
         """What else may help against divergence."""
         kinds = {"stiffer or thicker strands": self.shot.scene.strands, "softer flesh": self.shot.scene.bodies}
-        return " or ".join(advice for advice, held in kinds.items() if held)
+        return [advice for advice, held in kinds.items() if held]
 
     def _seconds(self, code: float) -> float:
         return code / self.shot.info.time_codes_per_second

@@ -58,6 +58,7 @@ def totals(shot: Shot) -> dict[str, int]:
         "attached points": sum(len(attachment.point) for attachment in scene.attachments),
         "bodies of flesh": len(scene.bodies),
         "rigid bodies": len(scene.rigid_bodies),
+        "joints": len(scene.joints),
         "colliders": sum(surface.collides for surface in scene.surfaces),
         "collider triangles": sum(len(s.triangles) for s in scene.surfaces if s.collides),
         "moving colliders": sum(s.collides and s.motion.animated for s in scene.surfaces),

@@ -21,6 +21,7 @@ APPLIED = {
 UNSUPPORTED = ("cloth", "sand", "snow", "enriched")
 SIMULATED = ("strands", "flesh", "rigid", *UNSUPPORTED)
 RIGID_BODY = "PhysicsRigidBodyAPI"
+JOINTS = ("PhysicsFixedJoint", "PhysicsRevoluteJoint", "PhysicsSphericalJoint", "PhysicsPrismaticJoint")
 PROP = "animated prop"
 SKIPPED = "skipped"
 
@@ -276,8 +277,11 @@ class _Assignment:
 
     def _checked_rigid(self, role: Role) -> Role:
         prim = role.prim
-        if not role.body:
-            return replace(role, reason=f"{prim.GetTypeName()} is not simulated yet", supported=False)
+        if prim.IsA(UsdPhysics.Joint):
+            known = str(prim.GetTypeName()) in JOINTS
+            return (
+                role if known else replace(role, reason=f"{prim.GetTypeName()} is not simulated", supported=False)
+            )
         body = self._source.stage.GetPrimAtPath(role.body)
         reason = self._why_unwritable(body)
         if not reason and not any(part.body == role.body and part.collides for part in self._parts_of(body)):

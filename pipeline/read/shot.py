@@ -16,6 +16,7 @@ from plait.pipeline.read.gravity import read_gravity
 from plait.pipeline.read.groom import Groom
 from plait.pipeline.read.grooms import Assembly, read_grooms, tell_of_skipped
 from plait.pipeline.read.guides import choose_leaders
+from plait.pipeline.read.joints import read_filtered, read_joints
 from plait.pipeline.read.parameter_table import COLLIDER, FLESH
 from plait.pipeline.read.polygons import mesh_sizes
 from plait.pipeline.read.rigid import Props
@@ -80,6 +81,8 @@ class _Reader:
             origin=self.source.origin,
             attachments=attachments,
             rigid_bodies=props.rigid_bodies(surfaces),
+            joints=read_joints(self.source, self.roles, props),
+            filtered=read_filtered(self.source, surfaces),
         )
         tell_of_skipped(self.source, self.roles)
         reports = tuple(self._report(role, carrying, grooms, tissues) for role in self.roles)

@@ -158,6 +158,38 @@ def test_resumed_it_is_the_same_to_the_bit(result: tuple[Path, Path], monkeypatc
         assert (again.with_suffix(".cache") / chunk.name).read_bytes() == chunk.read_bytes()
 
 
+def test_a_pendulum_hangs_on_its_hinge(tmp_path: Path) -> None:
+    """A bob on a hinge of the world keeps its distance, and swings as theta'' = -(3 g / 4 l) cos(theta) starts."""
+    path = tmp_path / "shot.usda"
+    stage = Usd.Stage.CreateNew(str(path))
+    stage.SetStartTimeCode(1)
+    stage.SetEndTimeCode(FRAMES)
+    stage.SetTimeCodesPerSecond(RATE)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    rod = UsdGeom.Cube.Define(stage, "/Rod")
+    rod.AddTranslateOp().Set((1, 0, 0))
+    rod.AddScaleOp().Set((1, 0.01, 0.01))
+    UsdPhysics.RigidBodyAPI.Apply(rod.GetPrim())
+    UsdPhysics.CollisionAPI.Apply(rod.GetPrim())
+    hinge = UsdPhysics.RevoluteJoint.Define(stage, "/Hinge")
+    hinge.CreateAxisAttr("Y")
+    hinge.CreateBody1Rel().SetTargets(["/Rod"])
+    hinge.CreateLocalPos1Attr((-1, 0, 0))
+    stage.Save()
+    out = tmp_path / "out.usda"
+    assert _sim(path, out, "--substeps", "32") == EXIT_DONE
+    for code in range(1, FRAMES + 1):
+        matrix = _world(out, "/Rod", code)
+        assert np.linalg.norm(matrix[:3, 3]) == pytest.approx(1.0, abs=1e-5)
+        np.testing.assert_allclose(matrix @ [-1, 0, 0, 1], [0, 0, 0, 1], atol=1e-5)
+        time = (code - 1) / RATE
+        angle = np.arctan2(-matrix[2, 3], matrix[0, 3])
+        # A uniform rod of length 2: 3 g / (2 * 2), to the second order in time, and a first-order step's error.
+        start = 0.5 * 0.75 * 9.81 * time**2
+        assert angle == pytest.approx(start, abs=start**3 + 0.75 * 9.81 * time / RATE / 32 + 1e-4)
+
+
 EXAMPLES = "samples/PixarAnimationStudios_OpenUSD/pxr/usd/usdPhysics/examples"
 
 

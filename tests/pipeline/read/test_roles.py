@@ -169,7 +169,9 @@ def test_a_shot_without_strands_or_flesh_reads_no_skin(read) -> None:
 def test_joints_are_reported(read) -> None:
     shot = read(_hair(STRANDS) + 'def PhysicsRevoluteJoint "Hinge"\n{\n}\n')
     hinge = next(prim for prim in shot.prims if prim.path == "/Hinge")
-    assert (hinge.role, hinge.supported) == ("rigid", False)
+    assert (hinge.role, hinge.supported) == ("rigid", True)
+    rope = read(_hair(STRANDS) + 'def PhysicsDistanceJoint "Rope"\n{\n}\n').prims[-1]
+    assert not rope.supported and "PhysicsDistanceJoint" in rope.reason
 
 
 def test_inside_an_instance_curves_cannot_be_written(read) -> None:
