@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from pxr import Usd, UsdPhysics
 
+from plait.pipeline.read.joint_kinds import Drawn, drawn_kind
 from plait.pipeline.read.motions import Placement
 from plait.pipeline.read.rigid import Props
-from plait.pipeline.read.roles import JOINTS, Role
+from plait.pipeline.read.roles import Role
 from plait.pipeline.read.shapes import turn_from_z
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.turns import of_quaternion, rotation_of
 from plait.solver.scene import Joint, Pose, StaticMotion, Surface
-
-KINDS = dict(zip(JOINTS, ("fixed", "revolute", "spherical", "prismatic"), strict=True))
 
 
 @dataclass
@@ -73,9 +72,10 @@ def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
     if bodies[0] == bodies[1]:
         source.warn("holds no simulated body to another or to the world; left out", prim)
         return None
-    kind, turn = KINDS[str(prim.GetTypeName())], np.eye(3)
-    if kind != "fixed":
-        turn = turn_from_z(str(prim.GetAttribute("physics:axis").Get(source.start)))
+    held = drawn_kind(prim)
+    turn = turn_from_z(held.axis) if held.axis else np.eye(3)
+    if any(name.startswith("PhysicsDriveAPI:") for name in prim.GetAppliedSchemas()):
+        source.warn("its drives play no part", prim)
     locals_ = (
         (joint.GetLocalPos0Attr(), joint.GetLocalRot0Attr()),
         (joint.GetLocalPos1Attr(), joint.GetLocalRot1Attr()),
@@ -91,11 +91,11 @@ def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
         frames.append(frame)
     return Joint(
         name=str(prim.GetPath()),
-        kind=kind,
+        kind=held.kind,
         bodies=bodies,
         frames=(frames[0], frames[1]),
-        limits=_limits(source, prim, kind),
-        cone=_cone(source, prim) if kind == "spherical" else None,
+        limits=_limits(source, prim, held),
+        cone=_cone(source, prim) if held.kind == "spherical" else None,
         motion=motion,
         collide=bool(joint.GetCollisionEnabledAttr().Get(source.start)),
     )
@@ -138,29 +138,31 @@ def _frame(
     return frame
 
 
-def _limits(source: Source, prim: Usd.Prim, kind: str) -> tuple[float, float] | None:
+def _limits(source: Source, prim: Usd.Prim, held: Drawn) -> tuple[float, float] | None:
     """Lower and upper in SI; None where neither limits anything."""
-    if kind not in ("revolute", "prismatic"):
+    if held.kind not in ("revolute", "prismatic"):
         return None
+    attributes = [prim.GetAttribute(name) for name in (held.lower, held.upper)]
+    values = [attribute.Get(source.start) if attribute else None for attribute in attributes]
     lower, upper = (
-        float(prim.GetAttribute(f"physics:{name}Limit").Get(source.start)) for name in ("lower", "upper")
+        none if value is None else float(value) for value, none in zip(values, (-np.inf, np.inf), strict=True)
     )
     if np.isnan([lower, upper]).any() or lower > upper:
-        raise source.error(
-            f"is {lower:g}, above {upper:g}", prim, "physics:lowerLimit", "author the lower one first"
-        )
-    if kind == "prismatic":
+        raise source.error(f"is {lower:g}, above {upper:g}", prim, held.lower, "author the lower one first")
+    if held.kind == "prismatic":
         lower, upper = (limit * source.units.meters_per_unit for limit in (lower, upper))
         return None if lower == -np.inf and upper == np.inf else (lower, upper)
     if lower <= -180.0 and upper >= 180.0:
         return None
     if lower > 180.0 or upper < -180.0:
-        raise source.error(f"is {lower:g}", prim, "physics:lowerLimit", "author limits within half a turn")
+        raise source.error(f"is {lower:g}", prim, held.lower, "author limits within half a turn")
     return float(np.radians(max(lower, -180.0))), float(np.radians(min(upper, 180.0)))
 
 
 def _cone(source: Source, prim: Usd.Prim) -> float | None:
     """[rad]; UsdPhysics has an angle either way, below zero for none: a round cone takes the smaller."""
+    if not prim.IsA(UsdPhysics.SphericalJoint):
+        return None
     angles = [float(prim.GetAttribute(f"physics:coneAngle{k}Limit").Get(source.start)) for k in (0, 1)]
     given = [angle for angle in angles if angle >= 0.0]
     if not given or min(given) >= 180.0:

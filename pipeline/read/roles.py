@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pxr import Usd, UsdGeom, UsdPhysics
 
 from plait.pipeline.read import curves, shapes
+from plait.pipeline.read.joint_kinds import drawn_kind
 from plait.pipeline.read.skeletons import INFLUENCES, Skeletons
 from plait.pipeline.read.source import PREDICATE, Source
 
@@ -21,7 +22,6 @@ APPLIED = {
 UNSUPPORTED = ("cloth", "sand", "snow", "enriched")
 SIMULATED = ("strands", "flesh", "rigid", *UNSUPPORTED)
 RIGID_BODY = "PhysicsRigidBodyAPI"
-JOINTS = ("PhysicsFixedJoint", "PhysicsRevoluteJoint", "PhysicsSphericalJoint", "PhysicsPrismaticJoint")
 PROP = "animated prop"
 SKIPPED = "skipped"
 
@@ -278,7 +278,7 @@ class _Assignment:
     def _checked_rigid(self, role: Role) -> Role:
         prim = role.prim
         if prim.IsA(UsdPhysics.Joint):
-            known = str(prim.GetTypeName()) in JOINTS
+            known = drawn_kind(prim) is not None
             return (
                 role if known else replace(role, reason=f"{prim.GetTypeName()} is not simulated", supported=False)
             )

@@ -193,7 +193,10 @@ def test_a_pendulum_hangs_on_its_hinge(tmp_path: Path) -> None:
 EXAMPLES = "samples/PixarAnimationStudios_OpenUSD/pxr/usd/usdPhysics/examples"
 
 
-@pytest.mark.parametrize("name", ["BoxOnBox", "BoxOnQuad", "SpheresWithMaterial", "PairFiltering"])
+@pytest.mark.parametrize(
+    "name",
+    ["BoxOnBox", "BoxOnQuad", "DistanceJoint", "GroupFiltering", "Joints", "PairFiltering", "SpheresWithMaterial"],
+)
 def test_examples_of_usd_physics_run_as_they_are(name: str, shared: Path, tmp_path: Path) -> None:
     shot = shared / EXAMPLES / f"usdPhysics{name}.usda"
     if not shot.is_file():

@@ -90,3 +90,28 @@ def test_filtered_pairs(read) -> None:
     shot = read(apart)
     names = [surface.name for surface in shot.scene.surfaces]
     assert shot.scene.filtered == ((names.index("/A"), names.index("/B")),)
+
+
+@pytest.mark.parametrize(
+    ("free", "kind"),
+    [((), "fixed"), (("rotY",), "revolute"), (("transX",), "prismatic"), (("rotX", "rotY", "rotZ"), "spherical")],
+)
+def test_a_generic_joint_is_what_its_limits_leave_free(free: tuple[str, ...], kind: str, read) -> None:
+    """A lower limit above the upper one locks."""
+    freedoms = [f"{what}{axis}" for what in ("trans", "rot") for axis in "XYZ" if f"{what}{axis}" not in free]
+    applied = ", ".join(f'"PhysicsLimitAPI:{freedom}"' for freedom in freedoms)
+    lines = "\n".join(
+        f"float limit:{freedom}:physics:low = 1\nfloat limit:{freedom}:physics:high = -1" for freedom in freedoms
+    )
+    joint = _only(read(BOTH + _joint("", lines).replace('"J"', f'"J" (prepend apiSchemas = [{applied}])')))
+    assert joint.kind == kind and joint.limits is None and joint.cone is None
+    if len(free) == 1:
+        axis = np.eye(3)["XYZ".index(free[0][-1])]
+        # Both cubes are turned by a quarter about z.
+        np.testing.assert_allclose(joint.frames[0][:3, 2], [-axis[1], axis[0], axis[2]], atol=1e-7)
+
+
+def test_a_generic_joint_of_other_freedoms_is_refused(read) -> None:
+    shot = read(BOTH + _joint(""))
+    (prim,) = [prim for prim in shot.prims if prim.path == "/J"]
+    assert not prim.supported and "PhysicsJoint" in prim.reason
