@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from pxr import Usd, UsdGeom
 
 from plait.pipeline import layers
 from plait.pipeline.errors import UsageError
+from plait.pipeline.read import shapes
 
 # A tenth of a millimetre: no wider than a hair, far below a pixel where a character fills the picture, and far
 # above what float32 rounding alone moves hair by.
@@ -90,8 +92,9 @@ class Comparison:
 
 
 def compare(reference: Path, new: Path, tolerance: float = DEFAULT_TOLERANCE) -> Comparison:
-    """Compares all curves, meshes and points of two stages at every time sample that both have.
+    """Compares all curves, meshes, points and simple shapes (by the corners of their boxes) of two stages.
 
+    At every time sample that both have: of the points, else of the transforms that move them.
     Different units are converted; different rates or up axes are a difference. Missing prims, different point or
     strand counts, different sample times and values that are not finite count as different at any tolerance; a
     prim is compared up to the first such sample.
@@ -142,9 +145,9 @@ def _stage_problems(reference: Usd.Stage, new: Usd.Stage) -> Iterable[str]:
 
 
 def _point_prims(stage: Usd.Stage) -> set[str]:
-    """Paths of all prims that have points, those in instances too."""
+    """Paths of all prims that have points, and of shapes; those in instances too."""
     prims = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
-    return {str(prim.GetPath()) for prim in prims if prim.IsA(UsdGeom.PointBased)}
+    return {str(prim.GetPath()) for prim in prims if prim.IsA(UsdGeom.PointBased) or shapes.is_shape(prim)}
 
 
 def _missing(path: str, where: str) -> PrimComparison:
@@ -160,11 +163,11 @@ class _Prim:
         self._meters = UsdGeom.GetStageMetersPerUnit(stage)
         self._points = UsdGeom.PointBased(self.prim).GetPointsAttr()
         self._curves = UsdGeom.Curves(self.prim)
-        self.codes = tuple(self._points.GetTimeSamples())
+        self.codes = tuple(self._points.GetTimeSamples() if self._points else ()) or _moves(self.prim)
 
     def points(self, code: Usd.TimeCode) -> np.ndarray:
         """(n, 3) float64 [m]; values that are not finite stay so, and are the caller's to judge."""
-        held = self._points.Get(code)
+        held = self._points.Get(code) if self._points else _corners(self.prim, code)
         local = np.array(held, np.float64).reshape(-1, 3) if held is not None else np.zeros((0, 3))
         matrix = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(self.prim))
         with np.errstate(invalid="ignore"):
@@ -175,6 +178,22 @@ class _Prim:
         if not self._curves:
             return None
         return tuple(self._curves.GetCurveVertexCountsAttr().Get(code) or ())
+
+
+def _moves(prim: Usd.Prim) -> tuple[float, ...]:
+    """Time codes at which the place of a prim is authored, by its own transform or those above."""
+    codes: set[float] = set()
+    while prim and not prim.IsPseudoRoot():
+        xformable = UsdGeom.Xformable(prim)
+        codes |= {*xformable.GetTimeSamples()} if xformable else set()
+        prim = prim.GetParent() if not (xformable and xformable.GetResetXformStack()) else None
+    return tuple(sorted(codes))
+
+
+def _corners(shape: Usd.Prim, code: Usd.TimeCode) -> list[tuple[float, ...]]:
+    """Those of a shape's box: where they are, the shape is."""
+    box = UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(shape), code) or []
+    return list(itertools.product(*zip(*box, strict=True)))
 
 
 def _compare_prim(path: str, stages: tuple[Usd.Stage, Usd.Stage], tolerance: float) -> PrimComparison:

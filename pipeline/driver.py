@@ -101,7 +101,8 @@ class _Run:
 
     def run(self, stop: StopRequest) -> int:
         """Everything from an empty or half-filled folder to the finished cache."""
-        if not (self.shot.scene.strands or self.shot.scene.bodies):
+        scene = self.shot.scene
+        if not (scene.strands or scene.bodies or scene.rigid_bodies):
             self.writer.open()
             name = self.shot.info.path.name
             self.progress.log(f"nothing to simulate in {name}; {self.output} shows it as it is")
@@ -186,14 +187,14 @@ class _Run:
         except Diverged as error:
             raise PlaitError(
                 f"{self.shot.info.path}: {error} (frame {leg.code:g}); the frames before it are kept; "
-                f"try more substeps, or {self._softer()}"
+                f"try {' or '.join(['more substeps', *self._softer()])}"
             ) from error
         self.metrics.add(index, leg.code, time.perf_counter() - started, figures)
 
-    def _softer(self) -> str:
+    def _softer(self) -> list[str]:
         """What else may help against divergence."""
         kinds = {"stiffer or thicker strands": self.shot.scene.strands, "softer flesh": self.shot.scene.bodies}
-        return " or ".join(advice for advice, held in kinds.items() if held)
+        return [advice for advice, held in kinds.items() if held]
 
     def _seconds(self, code: float) -> float:
         return code / self.shot.info.time_codes_per_second

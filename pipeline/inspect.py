@@ -44,7 +44,7 @@ def as_data(shot: Shot) -> dict[str, Any]:
 
 
 def stages(shot: Shot) -> list[str]:
-    """What `sim` will run, in order; nothing for a shot without strands or flesh."""
+    """What `sim` will run, in order; nothing for a shot of which nothing is simulated."""
     return [name for name, _, needed in FEATURES if needed(shot.scene)]
 
 
@@ -57,6 +57,8 @@ def totals(shot: Shot) -> dict[str, int]:
         "interpolated strands": sum(len(o.followers.strands) for o in shot.curves if o.followers is not None),
         "attached points": sum(len(attachment.point) for attachment in scene.attachments),
         "bodies of flesh": len(scene.bodies),
+        "rigid bodies": len(scene.rigid_bodies),
+        "joints": len(scene.joints),
         "colliders": sum(surface.collides for surface in scene.surfaces),
         "collider triangles": sum(len(s.triangles) for s in scene.surfaces if s.collides),
         "moving colliders": sum(s.collides and s.motion.animated for s in scene.surfaces),
@@ -77,7 +79,9 @@ def _print(shot: Shot) -> None:
     width = max((len(prim.role) for prim in shot.prims), default=0)
     for prim in shot.prims:
         colour = (
-            {"strands": "green", INTERPOLATED: "green", "flesh": "green", "skipped": "dim"}.get(prim.role, "cyan")
+            {"strands": "green", INTERPOLATED: "green", "flesh": "green", "rigid": "green", "skipped": "dim"}.get(
+                prim.role, "cyan"
+            )
             if prim.supported
             else "red"
         )

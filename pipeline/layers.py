@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Tf, Usd, UsdUtils, Vt
+from pxr import Gf, Sdf, Tf, Usd, UsdUtils, Vt
 
 from plait.pipeline.errors import InputError, PlaitError
 from plait.pipeline.files import replacing
 from plait.pipeline.shot import StageInfo
-from plait.pipeline.targets import VALUE_TYPES, Target
+from plait.pipeline.targets import TRANSFORM, VALUE_TYPES, Target
 
 # Where the layer says how it was made: customLayerData["plait"].
 RECORD = "plait"
@@ -34,7 +34,8 @@ _NOT_COPIED = frozenset(
 class Sample:
     """What all simulated prims are at one time code.
 
-    values: (prim path, attribute name) -> (n, 3) float32, in the prim's own space and units.
+    values: (prim path, attribute name) -> (n, 3) float32, in the prim's own space and units; a
+        transform (4, 4) float64, row vectors.
     """
 
     code: float
@@ -165,6 +166,11 @@ def author_constants(layer: Sdf.Layer, targets: Iterable[Target], instances: Ite
             skeleton.targetPathList.ClearEditsAndMakeExplicit()
         if target.add_binding_api:
             prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["SkelBindingAPI"]))
+        if target.operations:
+            # Clips give values only to what a layer declares.
+            Sdf.AttributeSpec(prim, TRANSFORM, VALUE_TYPES[TRANSFORM])
+            order = Sdf.AttributeSpec(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, Sdf.VariabilityUniform)
+            order.default = Vt.TokenArray(target.operations)
         for name, value_type in target.blocked:
             Sdf.AttributeSpec(prim, name, value_type).default = Sdf.ValueBlock()
 
@@ -182,7 +188,10 @@ def set_sample(layer: Sdf.Layer, path: str, name: str, code: float, value: np.nd
     attribute = Sdf.Path(path).AppendProperty(name)
     if not layer.GetAttributeAtPath(attribute):
         Sdf.AttributeSpec(Sdf.CreatePrimInLayer(layer, path), name, VALUE_TYPES[name])
-    layer.SetTimeSample(attribute, code, Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(value, np.float32)))
+    if name == TRANSFORM:
+        layer.SetTimeSample(attribute, code, Gf.Matrix4d(np.asarray(value, np.float64)))
+    else:
+        layer.SetTimeSample(attribute, code, Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(value, np.float32)))
 
 
 def read_samples(layer: Sdf.Layer, targets: Iterable[Target], codes: Iterable[float]) -> list[Sample]:

@@ -8,7 +8,16 @@ from typing import Any
 import numpy as np
 
 from plait.pipeline.normals import CarriedNormals
-from plait.pipeline.shot import CurveOutput, CurvesNow, MeshOutput, PrimFrame, PrimOutput, Shot
+from plait.pipeline.shot import (
+    CurveOutput,
+    CurvesNow,
+    MeshOutput,
+    PrimFrame,
+    PrimOutput,
+    Shot,
+    TransformFrame,
+    TransformOutput,
+)
 from plait.pipeline.surface_normals import SurfaceNormals
 
 # Half the span of the central difference that gives a moving prim's own velocity [s].
@@ -25,7 +34,8 @@ class Outputs:
         Raises `Refused` for curves that follow guides and grow where they cannot.
         """
         self._strands, self._tets = parts.get("strands"), parts.get("tets")
-        self._curves, self._meshes = shot.curves, shot.meshes
+        self._rigid = parts.get("rigid")
+        self._curves, self._meshes, self._props = shot.curves, shot.meshes, shot.props
         self._following = None
         followers = [output.followers for output in shot.curves if output.followers is not None]
         if followers:
@@ -51,11 +61,12 @@ class Outputs:
                 )
         return result
 
-    def frames(self, time: float) -> tuple[PrimFrame, ...]:
+    def frames(self, time: float) -> tuple[PrimFrame | TransformFrame, ...]:
         """Every prim's sample, everything simulated being where it is at `time` [s]."""
         shapes = zip(self._curves, self._now(time), strict=True)
         curves = [self._curve_frame(output, now, time) for output, now in shapes]
-        return (*curves, *(self._mesh_frame(output, time) for output in self._meshes))
+        meshes = [self._mesh_frame(output, time) for output in self._meshes]
+        return (*curves, *meshes, *(self._transform_frame(output, time) for output in self._props))
 
     def _now(self, time: float) -> list[CurvesNow]:
         """Every curves prim's strands, simulated or following, as they are at `time` [s]."""
@@ -75,6 +86,9 @@ class Outputs:
         normals = None if carried is None else carried.at(now.points, now.directors)
         points, velocities = output.drawn(now.points), output.drawn(now.velocities)
         return prim_frame(output, points, velocities, time, output.widths, normals)
+
+    def _transform_frame(self, output: TransformOutput, time: float) -> TransformFrame:
+        return TransformFrame(output.prim_path, output.local(self._rigid.pose(output.body), time).T)
 
     def _mesh_frame(self, output: MeshOutput, time: float) -> PrimFrame:
         tets, body = self._tets, output.body

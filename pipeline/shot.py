@@ -200,6 +200,28 @@ class MeshOutput(PrimOutput):
 
 
 @dataclass(frozen=True)
+class TransformOutput:
+    """How a `RigidBody` of the scene goes back to the transform of its prim.
+
+    body: index into `Scene.rigid_bodies`.
+    rest: (4, 4), the prim's own space [stage units] to the body's rest space [m].
+    world_to_parent: time [s] -> (4, 4), from scene world [m] to the space that the prim's transform is in.
+    resets: that space is the world, not the parent's.
+    """
+
+    prim_path: str
+    body: int
+    rest: np.ndarray
+    world_to_parent: Callable[[float], np.ndarray]
+    resets: bool = False
+    point_count: int = field(default=0, init=False)
+
+    def local(self, pose: np.ndarray, time: float) -> np.ndarray:
+        """(4, 4) float64, column vectors: the prim's transform at `time` [s], its body being at `pose` (4, 4)."""
+        return self.world_to_parent(time) @ pose @ self.rest
+
+
+@dataclass(frozen=True)
 class Embedded:
     """Authored points in tets. points: (n,).  nodes: (n, 4) corners.  barycentric: (n, 4), rows sum to one."""
 
@@ -246,11 +268,12 @@ class Shot:
     warnings: tuple[str, ...] = ()
     layers: tuple[Path, ...] = ()
     meshes: tuple[MeshOutput, ...] = ()
+    props: tuple[TransformOutput, ...] = ()
 
     @property
-    def outputs(self) -> tuple[PrimOutput, ...]:
+    def outputs(self) -> tuple[PrimOutput | TransformOutput, ...]:
         """Every prim that the result overrides."""
-        return (*self.curves, *self.meshes)
+        return (*self.curves, *self.meshes, *self.props)
 
 
 @dataclass(frozen=True)
@@ -266,3 +289,11 @@ class PrimFrame:
     velocities: np.ndarray
     extent: np.ndarray
     normals: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class TransformFrame:
+    """One rigid prim's result at one time sample: its transform (4, 4) float64, row vectors, as USD has them."""
+
+    prim_path: str
+    transform: np.ndarray

@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
-from plait.pipeline.shot import PrimOutput, Shot
+from plait.pipeline.shot import PrimOutput, Shot, TransformOutput
+
+# The one operation that places a rigid prim; those that its source has stay authored, and out of the order.
+TRANSFORM = "xformOp:transform:plait"
 
 VALUE_TYPES = {
     "points": Sdf.ValueTypeNames.Point3fArray,
@@ -17,6 +20,7 @@ VALUE_TYPES = {
     "extent": Sdf.ValueTypeNames.Float3Array,
     "normals": Sdf.ValueTypeNames.Normal3fArray,
     "primvars:normals": Sdf.ValueTypeNames.Normal3fArray,
+    TRANSFORM: Sdf.ValueTypeNames.Matrix4d,
 }
 
 
@@ -28,6 +32,7 @@ class Target:
     clip_set: a name that no clip set of the source has on this prim (dictionaries of equal name would merge).
     unbind: the prim is skinned in the source; `add_binding_api`: it does not say so by an applied schema.
     blocked: attributes of the source that are no longer true, with their types.
+    operations: the prim's `xformOpOrder`, where its transform is written; empty where it is not.
     """
 
     path: str
@@ -36,6 +41,13 @@ class Target:
     unbind: bool = False
     add_binding_api: bool = False
     blocked: tuple[tuple[str, Sdf.ValueTypeName], ...] = ()
+    operations: tuple[str, ...] = ()
+
+
+def transform_target(prim: Usd.Prim, output: TransformOutput) -> Target:
+    """What placing `prim`, the source's own, takes."""
+    operations = (UsdGeom.XformOpTypes.resetXformStack, TRANSFORM) if output.resets else (TRANSFORM,)
+    return Target(output.prim_path, (TRANSFORM,), free_clip_set(prim), operations=operations)
 
 
 def prim_target(prim: Usd.Prim, output: PrimOutput) -> Target:
@@ -70,7 +82,7 @@ def free_clip_set(prim: Usd.Prim) -> str:
     return name
 
 
-def ancestor_targets(stage: Usd.Stage, outputs: Iterable[PrimOutput]) -> tuple[Target, ...]:
+def ancestor_targets(stage: Usd.Stage, outputs: Iterable[PrimOutput | TransformOutput]) -> tuple[Target, ...]:
     """Prims above the simulated ones whose authored bounds no longer hold.
 
     A SkelRoot's `extent` stands for all beneath it, so it is written anew; an `extentsHint` is only a shortcut,
@@ -118,7 +130,12 @@ class Overridden:
             raise ValueError(f"{shot.info.path} has no prim {missing[0]}")
         self.root_layer = self._stage.GetRootLayer()
         self.outputs = tuple(
-            prim_target(self._stage.GetPrimAtPath(output.prim_path), output) for output in shot.outputs
+            target(self._stage.GetPrimAtPath(output.prim_path), output)
+            for target, outputs in (
+                (prim_target, (*shot.curves, *shot.meshes)),
+                (transform_target, shot.props),
+            )
+            for output in outputs
         )
         self.bounds = ancestor_targets(self._stage, shot.outputs)
         self.instances = instances_above(self._stage, self.counts)

@@ -26,8 +26,8 @@ from pxr import Sdf, Tf
 from plait.pipeline import layers
 from plait.pipeline.errors import InputError, PlaitError, UsageError
 from plait.pipeline.layers import Sample
-from plait.pipeline.shot import PrimFrame, Shot
-from plait.pipeline.targets import Overridden
+from plait.pipeline.shot import PrimFrame, Shot, TransformFrame
+from plait.pipeline.targets import TRANSFORM, Overridden
 
 OVERRIDES, MANIFEST = "overrides.usda", "manifest.usda"
 # What a resumed run goes on from lies with its chunks, and goes when they go.
@@ -103,7 +103,7 @@ class CacheWriter:
         """How many frames, from the first, are whole on disk."""
         return bisect.bisect_right(self._frame_ends, self._on_disk)
 
-    def add(self, code: float, results: Iterable[PrimFrame]) -> None:
+    def add(self, code: float, results: Iterable[PrimFrame | TransformFrame]) -> None:
         """Takes the sample at time code `code`; writes a chunk when its last frame is complete.
 
         A sample that is on disk already is passed over: a resumed run may start from an earlier checkpoint.
@@ -162,13 +162,16 @@ class CacheWriter:
                     "the result would overwrite this layer of the shot", file=path, mend="choose another -o"
                 )
 
-    def _sample(self, code: float, results: Iterable[PrimFrame]) -> Sample:
+    def _sample(self, code: float, results: Iterable[PrimFrame | TransformFrame]) -> Sample:
         given = {result.prim_path: result for result in results}
         if given.keys() != self._source.counts.keys():
             raise ValueError(f"sample {code}: results for {sorted(given)}, not {sorted(self._source.counts)}")
         values: dict[tuple[str, str], np.ndarray] = {}
         for target in self._source.outputs:
             result, count = given[target.path], self._source.counts[target.path]
+            if isinstance(result, TransformFrame):
+                values[target.path, TRANSFORM] = result.transform
+                continue
             held = {name: _array(result, name) for name in target.attributes}
             for name, size in (("points", count), ("velocities", count), ("extent", 2)):
                 if held[name].shape != (size, 3):

@@ -8,7 +8,7 @@ from typing import Literal
 
 from plait.pipeline.read.source import Source
 
-STRANDS, COLLIDER, FLESH = "strands", "collider", "flesh"
+STRANDS, COLLIDER, FLESH, RIGID = "strands", "collider", "flesh", "rigid"
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,11 @@ PARAMETERS = (
         authored=("physics:density",), kilograms=1, meters=-3, zero_means_unset=True,
     ),
     Parameter(
+        "density", "kg/m3", "mass over volume of the rigid body, where no mass is authored", roles=(RIGID,),
+        default=1000.0, low=0.01, high=1e9, low_allowed=True,
+        authored=("physics:density",), kilograms=1, meters=-3, zero_means_unset=True,
+    ),
+    Parameter(
         "thickness", "m", "diameter; over the drawn `widths`",
         default_text="the drawn width, 8e-5 where none is drawn", low=0.0, high=10.0,
         authored=("physics:curvesThickness",), meters=1, zero_means_unset=True,
@@ -133,12 +138,13 @@ PARAMETERS = (
         authored=("physics:staticFriction", "physics:dynamicFriction"),
     ),
     Parameter(
-        "friction", "1", "Coulomb coefficient; of a pair the mean counts", roles=(FLESH,),
+        "friction", "1", "Coulomb coefficient; of a pair the mean counts", roles=(FLESH, RIGID),
         default_text="0.5 among bodies; for hair on it the hair's own", low=0.0, high=100.0, low_allowed=True,
         authored=("physics:staticFriction", "physics:dynamicFriction"),
     ),
     Parameter(
-        "restitution", "1", "speed after over speed before an impact; of a pair the larger counts", roles=(FLESH,),
+        "restitution", "1", "speed after over speed before an impact; of a pair the larger counts",
+        roles=(FLESH, RIGID),
         default=0.0, low=0.0, high=1.0, low_allowed=True, authored=("physics:restitution",),
     ),
     Parameter(
@@ -147,7 +153,7 @@ PARAMETERS = (
     ),
     Parameter(
         "clearance", "m", "distance kept from this body beside the strand's radius",
-        roles=(COLLIDER, FLESH), default=0.0, low=0.0, high=1.0, low_allowed=True, meters=1,
+        roles=(COLLIDER, FLESH, RIGID), default=0.0, low=0.0, high=1.0, low_allowed=True, meters=1,
     ),
     Parameter(
         "picFraction", "1", "of `solver.strand_contact.method=paper`: part of the grid's velocity that is taken "

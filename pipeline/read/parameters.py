@@ -49,15 +49,18 @@ class Given:
         return self.authored.get(name, of_role(self.role)[name].default)
 
 
-def resolve(source: Source, prim: Usd.Prim, role: str, config: Config) -> Given:
+def resolve(
+    source: Source, prim: Usd.Prim, role: str, config: Config, holder_above: Usd.Prim | None = None
+) -> Given:
     """The parameters of a prim in SI.
 
-    Weakest first: default, physics material, prim (on each: UsdPhysics, proposal, `plait:`), what is painted on
-    the prim, configuration for all prims, configuration for prims by path. Raises InputError and UsageError.
+    Weakest first: default, physics material, `holder_above` (what the prim is part of), the prim (on each:
+    UsdPhysics, proposal, `plait:`), what is painted on it, configuration for all prims, configuration for prims by
+    path. Raises InputError and UsageError.
     """
     known = of_role(role)
     result: dict[str, Any] = {}
-    for holder in (bound_material(source, prim), prim):
+    for holder in (bound_material(source, prim), holder_above, prim):
         if holder:
             for parameter in known.values():
                 result |= _authored(source, holder, parameter)

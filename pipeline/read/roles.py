@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pxr import Usd, UsdGeom, UsdPhysics
 
 from plait.pipeline.read import curves, shapes
+from plait.pipeline.read.joint_kinds import drawn_kind
 from plait.pipeline.read.skeletons import INFLUENCES, Skeletons
 from plait.pipeline.read.source import PREDICATE, Source
 
@@ -18,8 +19,9 @@ APPLIED = {
     "PhysicsSurfaceDeformableSimAPI": "cloth",
 }
 # Roles whose physics does not exist yet. Their prims stay as authored, and strands collide with them as such.
-UNSUPPORTED = ("cloth", "rigid", "sand", "snow", "enriched")
-SIMULATED = ("strands", "flesh", *UNSUPPORTED)
+UNSUPPORTED = ("cloth", "sand", "snow", "enriched")
+SIMULATED = ("strands", "flesh", "rigid", *UNSUPPORTED)
+RIGID_BODY = "PhysicsRigidBodyAPI"
 PROP = "animated prop"
 SKIPPED = "skipped"
 
@@ -30,6 +32,7 @@ class Role:
     authored: the shot says so, rather than that nothing speaks against it.
     carries: strands may grow on it though it has no role: a visible mesh.
     rides: path of the TetMesh in whose tets it is drawn, '' for none: a deformable body's other meshes.
+    body: path of the prim whose transform says where it is, '' for what is part of no simulated rigid body.
     """
 
     prim: Usd.Prim
@@ -40,6 +43,7 @@ class Role:
     supported: bool = True
     carries: bool = False
     rides: str = ""
+    body: str = ""
 
     @property
     def collides(self) -> bool:
@@ -69,7 +73,8 @@ def is_solid(prim: Usd.Prim) -> bool:
 
 
 def has_collision(prim: Usd.Prim) -> bool:
-    return "PhysicsCollisionAPI" in applied_schemas(prim)
+    enabled = prim.GetAttribute("physics:collisionEnabled")
+    return "PhysicsCollisionAPI" in applied_schemas(prim) and (not enabled or enabled.Get() is not False)
 
 
 class _Assignment:
@@ -103,11 +108,16 @@ class _Assignment:
                 return Role(prim, role, name)
             if name in body_schemas and _is_geometry(prim) and role != "strands":
                 return Role(prim, role, f"{name} on {body.GetPath()}")
-        if is_solid(prim) and "PhysicsCollisionAPI" in schemas:
+        if (
+            is_solid(prim)
+            and "PhysicsCollisionAPI" in schemas
+            and (has_collision(prim) or RIGID_BODY not in schemas)
+        ):
             return self._collision_role(prim)
         if "PhysicsRigidBodyAPI" in schemas and self._enabled(prim, "physics:rigidBodyEnabled"):
-            role = PROP if self._is_kinematic(prim) else "rigid"
-            return Role(prim, role, "PhysicsRigidBodyAPI" + (", kinematicEnabled" if role == PROP else ""))
+            if self._is_kinematic(prim):
+                return Role(prim, PROP, f"{RIGID_BODY}, kinematicEnabled")
+            return Role(prim, "rigid", RIGID_BODY, body=str(prim.GetPath()))
         if prim.IsA(UsdPhysics.Joint):
             return Role(prim, "rigid", str(prim.GetTypeName()))
         return None
@@ -132,7 +142,7 @@ class _Assignment:
         recognised = f"plait:role{where}"
         if value == "none":
             return Role(prim, SKIPPED, recognised, "plait:role is none")
-        return Role(prim, value, recognised)
+        return Role(prim, value, recognised, body=str(prim.GetPath()) if value == "rigid" else "")
 
     def _check_type(self, prim: Usd.Prim, value: str, holder: Usd.Prim) -> None:
         is_curves = prim.IsA(UsdGeom.Curves)
@@ -141,6 +151,7 @@ class _Assignment:
             "flesh": _is_tissue(prim),
             "cloth": prim.IsA(UsdGeom.Mesh),
             "collider": is_solid(prim),
+            "rigid": is_solid(prim),
         }.get(value, True)
         if not fits and holder == prim:
             raise self._source.error(
@@ -184,7 +195,7 @@ class _Assignment:
             return Role(prim, "collider", f"PhysicsCollisionAPI, PhysicsRigidBodyAPI{where} is disabled")
         if self._is_kinematic(holder):
             return Role(prim, PROP, f"PhysicsRigidBodyAPI{where}, kinematicEnabled")
-        return Role(prim, "rigid", f"PhysicsRigidBodyAPI{where}")
+        return Role(prim, "rigid", f"PhysicsRigidBodyAPI{where}", body=str(holder.GetPath()))
 
     def _enabled(self, prim: Usd.Prim, name: str) -> bool:
         attribute = prim.GetAttribute(name)
@@ -264,6 +275,24 @@ class _Assignment:
         reason = reason or self._why_unwritable(prim)
         return replace(role, reason=reason, supported=not reason)
 
+    def _checked_rigid(self, role: Role) -> Role:
+        prim = role.prim
+        if prim.IsA(UsdPhysics.Joint):
+            known = drawn_kind(prim) is not None
+            return (
+                role if known else replace(role, reason=f"{prim.GetTypeName()} is not simulated", supported=False)
+            )
+        body = self._source.stage.GetPrimAtPath(role.body)
+        reason = self._why_unwritable(body)
+        if not reason and not any(part.body == role.body and part.collides for part in self._parts_of(body)):
+            massive = body.HasAPI(UsdPhysics.MassAPI) and body.GetAttribute("physics:mass").HasAuthoredValue()
+            reason = "" if massive else "has neither a collider nor a mass; apply PhysicsCollisionAPI to its shape"
+        return replace(role, reason=reason, supported=not reason)
+
+    def _parts_of(self, body: Usd.Prim) -> list[Role]:
+        found = (self._authored.get(str(prim.GetPath())) for prim in Usd.PrimRange(body, PREDICATE))
+        return [role for role in found if role is not None]
+
     def _checked(self, role: Role) -> Role:
         if role.role == "strands" and role.authored:
             reason = curves.refusal(role.prim) or self._why_unwritable(role.prim)
@@ -271,6 +300,8 @@ class _Assignment:
                 return replace(role, reason=reason, supported=False)
         if role.role == "flesh":
             return self._checked_flesh(role)
+        if role.role == "rigid":
+            return self._checked_rigid(role)
         if role.role in UNSUPPORTED:
             return replace(role, reason=f"{role.role} is not simulated yet", supported=False)
         return role

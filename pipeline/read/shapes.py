@@ -71,14 +71,19 @@ def _capsule(source: Source, prim: Usd.Prim) -> Polygons:
 def _plane(source: Source, prim: Usd.Prim) -> Polygons:
     width, length = 0.5 * _size(source, prim, "width"), 0.5 * _size(source, prim, "length")
     corners = np.array([[-width, -length, 0], [width, -length, 0], [width, length, 0], [-width, length, 0]], float)
-    return corners @ _turn(_axis(prim)).T, np.array([4]), np.arange(4)
+    return corners @ turn_from_z(_axis(prim)).T, np.array([4]), np.arange(4)
+
+
+def turn_to_axis(prim: Usd.Prim) -> np.ndarray:
+    """(3, 3), the rotation that takes Z to the prim's axis."""
+    return turn_from_z(_axis(prim))
 
 
 def _axis(prim: Usd.Prim) -> str:
     return str(prim.GetAttribute("axis").Get())
 
 
-def _turn(axis: str) -> np.ndarray:
+def turn_from_z(axis: str) -> np.ndarray:
     """The rotation (a cyclic swap) that takes Z to the axis."""
     return np.roll(np.eye(3), {"Z": 0, "X": 1, "Y": 2}[axis], axis=0)
 
@@ -101,7 +106,7 @@ def _lathe(radii: np.ndarray, heights: np.ndarray, axis: str) -> Polygons:
     ]
     indices = np.concatenate([bottom.ravel(), *(quad.ravel() for quad in quads), lid.ravel()])
     counts = np.concatenate([np.full(SIDES, 3), np.full(SIDES * len(quads), 4), np.full(SIDES, 3)])
-    return points @ _turn(axis).T, counts, indices
+    return points @ turn_from_z(axis).T, counts, indices
 
 
 _SHAPES = {

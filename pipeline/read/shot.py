@@ -16,8 +16,10 @@ from plait.pipeline.read.gravity import read_gravity
 from plait.pipeline.read.groom import Groom
 from plait.pipeline.read.grooms import Assembly, read_grooms, tell_of_skipped
 from plait.pipeline.read.guides import choose_leaders
+from plait.pipeline.read.joints import read_filtered, read_joints
 from plait.pipeline.read.parameter_table import COLLIDER, FLESH
 from plait.pipeline.read.polygons import mesh_sizes
+from plait.pipeline.read.rigid import Props
 from plait.pipeline.read.roles import Role
 from plait.pipeline.read.roots import find_roots
 from plait.pipeline.read.skeletons import Skeletons
@@ -33,8 +35,8 @@ def read_shot(path: Path, config: Config, frames: tuple[float, float] | None = N
 
     fill: False leaves flesh without tets, for a report: their numbers are estimates, and nothing is compiled.
 
-    Roles whose physics does not exist yet are reported with `supported=False`, not refused. Without strands or
-    flesh no skin is read. Raises InputError for input that cannot be right, UsageError for such frames or
+    Roles whose physics does not exist yet are reported with `supported=False`, not refused. Where nothing is
+    simulated no skin is read. Raises InputError for input that cannot be right, UsageError for such frames or
     parameters.
     """
     parameters.check_configuration(config)
@@ -62,7 +64,8 @@ class _Reader:
         grooms = read_grooms(self.source, self.roles, self.config)
         self.source.origin = self._origin(grooms)
         tissues = self._tissues()
-        surfaces, carrying = self._surfaces(grooms, tissues)
+        props = Props(self.source, self.bodies, self.roles, self.config)
+        surfaces, carrying = self._surfaces(grooms, tissues, props)
         choose_leaders(self.source, grooms)
         assembly = Assembly(self.source, self.skeletons, grooms, surfaces)
         attachments = assembly.attachments(self.bodies, self.roles)
@@ -77,11 +80,14 @@ class _Reader:
             gravity=read_gravity(self.source),
             origin=self.source.origin,
             attachments=attachments,
+            rigid_bodies=props.rigid_bodies(surfaces),
+            joints=read_joints(self.source, self.roles, props),
+            filtered=read_filtered(self.source, surfaces),
         )
         tell_of_skipped(self.source, self.roles)
         reports = tuple(self._report(role, carrying, grooms, tissues) for role in self.roles)
         meshes = (*(tissue.output for tissue in tissues.values()), *self._riders(tissues))
-        return Shot(self.source.info, scene, assembly.outputs(), reports, meshes=meshes)
+        return Shot(self.source.info, scene, assembly.outputs(), reports, meshes=meshes, props=props.outputs())
 
     # --- strands ----------------------------------------------------------------------------------------------
 
@@ -91,6 +97,7 @@ class _Reader:
         for role in self._flesh_roles():
             points = values.vectors(self.source, UsdGeom.PointBased(role.prim).GetPointsAttr())
             drawn_points += [(role.prim, points)] if len(points) else []
+        drawn_points += [(role.prim, np.zeros((1, 3))) for role in self.roles if role.body and role.supported]
         if not drawn_points:
             return np.zeros(3)
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -148,13 +155,13 @@ class _Reader:
     # --- surfaces ---------------------------------------------------------------------------------------------
 
     def _surfaces(
-        self, grooms: list[Groom], tissues: dict[str, Tissue]
+        self, grooms: list[Groom], tissues: dict[str, Tissue], props: Props
     ) -> tuple[list[Surface], dict[str, list[str]]]:
-        """All that strands or flesh collide with, or strands grow on; and which prims carry which grooms.
+        """All that is simulated collides with, or strands grow on; and which prims carry which grooms.
 
-        None without strands or flesh.
+        None where nothing is simulated.
         """
-        if not grooms and not tissues:
+        if not (grooms or tissues or len(props)):
             return [], {}
         carrying: dict[str, list[str]] = {}
         hidden = []
@@ -179,7 +186,8 @@ class _Reader:
             elif role.collides or (path in carrying and roles.is_solid(role.prim)):
                 body = self.bodies.get(role.prim)
                 if body is not None:
-                    surfaces.append(self._with_contact(body))
+                    carried = body.surface.rigid is not None
+                    surfaces.append(body.surface if carried else self._with_contact(body))
         return surfaces + hidden, carrying
 
     def _tell_of_animated_roots(self, groom: Groom, tissues: dict[str, Tissue]) -> None:

@@ -46,6 +46,9 @@ def _colliders(scene: Scene) -> set[str]:
     return {surface.name for surface in scene.surfaces if surface.collides}
 
 
+# Of an open mesh, whose mass nothing else tells.
+MASSIVE = "float physics:mass = 2\n    float3 physics:diagonalInertia = (1, 1, 1)\n    "
+MASSIVE += "point3f physics:centerOfMass = (0, 0, 0)"
 STRANDS = _apply("PhysicsCurvesDeformableSimAPI")
 
 
@@ -56,7 +59,7 @@ STRANDS = _apply("PhysicsCurvesDeformableSimAPI")
         (_apply("PhysicsSurfaceDeformableSimAPI"), "", "cloth", False, True),
         (_apply("PhysicsCollisionAPI"), "", "collider", True, True),
         (_apply("PhysicsCollisionAPI"), "bool physics:collisionEnabled = 0", "skipped", True, False),
-        (_apply("PhysicsCollisionAPI", "PhysicsRigidBodyAPI"), "", "rigid", False, True),
+        (_apply("PhysicsCollisionAPI", "PhysicsRigidBodyAPI", "PhysicsMassAPI"), MASSIVE, "rigid", True, True),
         (_apply("PhysicsRigidBodyAPI"), "", "rigid", False, False),
         (
             _apply("PhysicsCollisionAPI", "PhysicsRigidBodyAPI"),
@@ -86,7 +89,7 @@ def test_meshes(schemas: str, more: str, role: str, supported: bool, collides: b
     thing = next(prim for prim in shot.prims if prim.path == "/Thing")
     assert (thing.role, thing.supported) == (role, supported)
     assert ("/Thing" in _colliders(shot.scene)) is collides
-    assert thing.recognised and (thing.reason or role in ("collider", "flesh", "animated prop"))
+    assert thing.recognised and (thing.reason or supported)
 
 
 def test_a_body_above_gives_its_role(read) -> None:
@@ -166,7 +169,9 @@ def test_a_shot_without_strands_or_flesh_reads_no_skin(read) -> None:
 def test_joints_are_reported(read) -> None:
     shot = read(_hair(STRANDS) + 'def PhysicsRevoluteJoint "Hinge"\n{\n}\n')
     hinge = next(prim for prim in shot.prims if prim.path == "/Hinge")
-    assert (hinge.role, hinge.supported) == ("rigid", False)
+    assert (hinge.role, hinge.supported) == ("rigid", True)
+    rope = read(_hair(STRANDS) + 'def PhysicsDistanceJoint "Rope"\n{\n}\n').prims[-1]
+    assert not rope.supported and "PhysicsDistanceJoint" in rope.reason
 
 
 def test_inside_an_instance_curves_cannot_be_written(read) -> None:

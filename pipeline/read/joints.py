@@ -1,0 +1,176 @@
+"""Joints of UsdPhysics between rigid bodies, or of one with the world, and pairs that do not touch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pxr import Usd, UsdPhysics
+
+from plait.pipeline.read.joint_kinds import Drawn, drawn_kind
+from plait.pipeline.read.motions import Placement
+from plait.pipeline.read.rigid import Props
+from plait.pipeline.read.roles import Role
+from plait.pipeline.read.shapes import turn_from_z
+from plait.pipeline.read.source import Source
+from plait.pipeline.read.turns import of_quaternion, rotation_of
+from plait.solver.scene import Joint, Pose, StaticMotion, Surface
+
+
+@dataclass
+class CarriedFrame:
+    """Where a prim that is no simulated body is, without its scale: what a joint is held to."""
+
+    source: Source
+    placement: Placement
+
+    @property
+    def animated(self) -> bool:
+        return self.placement.animated
+
+    def pose(self, time: float) -> Pose:
+        matrix = self.placement.metric(self.source.code(time))
+        matrix[:3, :3] = rotation_of(matrix[:3, :3])
+        return Pose(matrix[None])
+
+
+def read_joints(source: Source, assigned: Sequence[Role], props: Props) -> tuple[Joint, ...]:
+    """All joints of the shot that hold a simulated body. Raises InputError for limits that cannot be."""
+    found = [_read(source, role.prim, props) for role in assigned if role.supported and is_joint(role.prim)]
+    return tuple(joint for joint in found if joint is not None)
+
+
+def is_joint(prim: Usd.Prim) -> bool:
+    return prim.IsA(UsdPhysics.Joint)
+
+
+def read_filtered(source: Source, surfaces: Sequence[Surface]) -> tuple[tuple[int, int], ...]:
+    """Pairs of surfaces, one of them of a rigid body at least, that PhysicsFilteredPairsAPI keeps apart."""
+    pairs: set[tuple[int, int]] = set()
+    for prim in source.stage.Traverse():
+        if not prim.HasAPI(UsdPhysics.FilteredPairsAPI):
+            continue
+        own = _beneath(surfaces, str(prim.GetPath()))
+        for target in UsdPhysics.FilteredPairsAPI(prim).GetFilteredPairsRel().GetTargets():
+            others = _beneath(surfaces, str(target))
+            pairs |= {(min(a, b), max(a, b)) for a in own for b in others if a != b}
+    rigid = [surface.rigid is not None for surface in surfaces]
+    return tuple(sorted(pair for pair in pairs if rigid[pair[0]] or rigid[pair[1]]))
+
+
+def _beneath(surfaces: Sequence[Surface], path: str) -> list[int]:
+    return [i for i, s in enumerate(surfaces) if s.collides and (s.name == path or s.name.startswith(f"{path}/"))]
+
+
+def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
+    joint = UsdPhysics.Joint(prim)
+    if joint.GetJointEnabledAttr().Get(source.start) is False:
+        return None
+    holders = [_holder(source, prim, relation) for relation in (joint.GetBody0Rel(), joint.GetBody1Rel())]
+    bodies = tuple(_body(props, holder) for holder in holders)
+    if bodies[0] == bodies[1]:
+        source.warn("holds no simulated body to another or to the world; left out", prim)
+        return None
+    held = drawn_kind(prim)
+    turn = turn_from_z(held.axis) if held.axis else np.eye(3)
+    if any(name.startswith("PhysicsDriveAPI:") for name in prim.GetAppliedSchemas()):
+        source.warn("its drives play no part", prim)
+    locals_ = (
+        (joint.GetLocalPos0Attr(), joint.GetLocalRot0Attr()),
+        (joint.GetLocalPos1Attr(), joint.GetLocalRot1Attr()),
+    )
+    frames, motion, start = [], StaticMotion(), source.start / source.units.time_codes_per_second
+    for holder, body, (place, rotation) in zip(holders, bodies, locals_, strict=True):
+        frame = _frame(source, holder, place, rotation, turn)
+        if body is None:
+            motion = CarriedFrame(source, Placement(source, holder))
+            frame = np.linalg.inv(motion.pose(start).joint_transforms[0]) @ frame
+        else:
+            frame[:3, 3] -= props.placement(props.paths[body])[:3, 3]
+        frames.append(frame)
+    return Joint(
+        name=str(prim.GetPath()),
+        kind=held.kind,
+        bodies=bodies,
+        frames=(frames[0], frames[1]),
+        limits=_limits(source, prim, held),
+        cone=_cone(source, prim) if held.kind == "spherical" else None,
+        motion=motion,
+        collide=bool(joint.GetCollisionEnabledAttr().Get(source.start)),
+    )
+
+
+def _holder(source: Source, prim: Usd.Prim, relation: Usd.Relationship) -> Usd.Prim:
+    """The prim that a side is held to; the pseudo-root, that is the world, where none is named."""
+    targets = relation.GetTargets()
+    if not targets:
+        return source.stage.GetPseudoRoot()
+    holder = source.stage.GetPrimAtPath(targets[0])
+    if not holder:
+        raise source.error(f"names <{targets[0]}>, which is not there", prim, relation.GetName(), "name a body")
+    return holder
+
+
+def _body(props: Props, holder: Usd.Prim) -> int | None:
+    """Index of the rigid body that the prim is or is part of."""
+    while holder and not holder.IsPseudoRoot():
+        if str(holder.GetPath()) in props.paths:
+            return props.paths.index(str(holder.GetPath()))
+        holder = holder.GetParent()
+    return None
+
+
+def _frame(
+    source: Source, holder: Usd.Prim, place: Usd.Attribute, rotation: Usd.Attribute, turn: np.ndarray
+) -> np.ndarray:
+    """(4, 4), rigid: one side's joint frame, z its axis, to scene coordinates at the first frame."""
+    matrix = source.metric(source.placed_at_start(holder))
+    at = np.array(place.Get(source.start), dtype=np.float64)
+    quaternion = rotation.Get(source.start)
+    for attribute, values in ((place, at), (rotation, [quaternion.GetReal(), *quaternion.GetImaginary()])):
+        if not np.isfinite(values).all() or (attribute is rotation and not np.any(values)):
+            prim = attribute.GetPrim()
+            raise source.error("is not a place or rotation", prim, attribute.GetName(), "author finite numbers")
+    frame = np.eye(4)
+    frame[:3, :3] = rotation_of(matrix[:3, :3]) @ of_quaternion(quaternion) @ turn
+    frame[:3, 3] = matrix[:3, :3] @ at * source.units.meters_per_unit + matrix[:3, 3]
+    return frame
+
+
+def _limits(source: Source, prim: Usd.Prim, held: Drawn) -> tuple[float, float] | None:
+    """Lower and upper in SI; None where neither limits anything."""
+    if held.kind not in ("revolute", "prismatic"):
+        return None
+    attributes = [prim.GetAttribute(name) for name in (held.lower, held.upper)]
+    values = [attribute.Get(source.start) if attribute else None for attribute in attributes]
+    lower, upper = (
+        none if value is None else float(value) for value, none in zip(values, (-np.inf, np.inf), strict=True)
+    )
+    if np.isnan([lower, upper]).any() or lower > upper:
+        raise source.error(f"is {lower:g}, above {upper:g}", prim, held.lower, "author the lower one first")
+    if held.kind == "prismatic":
+        lower, upper = (limit * source.units.meters_per_unit for limit in (lower, upper))
+        return None if lower == -np.inf and upper == np.inf else (lower, upper)
+    if lower <= -180.0 and upper >= 180.0:
+        return None
+    if lower > 180.0 or upper < -180.0:
+        raise source.error(f"is {lower:g}", prim, held.lower, "author limits within half a turn")
+    return float(np.radians(max(lower, -180.0))), float(np.radians(min(upper, 180.0)))
+
+
+def _cone(source: Source, prim: Usd.Prim) -> float | None:
+    """[rad]; UsdPhysics has an angle either way, below zero for none: a round cone takes the smaller."""
+    if not prim.IsA(UsdPhysics.SphericalJoint):
+        return None
+    angles = [float(prim.GetAttribute(f"physics:coneAngle{k}Limit").Get(source.start)) for k in (0, 1)]
+    given = [angle for angle in angles if angle >= 0.0]
+    if not given or min(given) >= 180.0:
+        return None
+    if not min(given) > 0.0:
+        raise source.error("is 0", prim, "physics:coneAngle0Limit", "author an angle above 0, or a revolute joint")
+    if angles[0] != angles[1]:
+        source.warn(
+            f"differs from the other; {min(given):g} degrees hold all round", prim, "physics:coneAngle0Limit"
+        )
+    return float(np.radians(min(given)))

@@ -1,0 +1,120 @@
+"""Mass, centre of mass and inertia of a rigid body, by the rules of UsdPhysicsMassAPI."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdPhysics
+
+from plait.pipeline.read.parameters import Given
+from plait.pipeline.read.source import Source
+from plait.pipeline.read.surfaces import Body
+from plait.pipeline.read.turns import of_quaternion, rotation_of
+from plait.solver.rigid.mass_properties import MassProperties, of_mesh, of_shape
+
+
+@dataclass(frozen=True)
+class Part:
+    """A collider of a rigid body, with its parameters."""
+
+    body: Body
+    given: Given
+
+
+def read_mass(source: Source, prim: Usd.Prim, parts: Sequence[Part], rest: np.ndarray) -> MassProperties:
+    """Of the body `prim`, in its rest space, to which `rest` (4, 4) takes the prim's own [stage units].
+
+    A mass of the body's own comes before those of its parts, a part's before its density; of densities that of
+    the part comes first, then the body's, the material's, 1000 kg/m3. What is not authored is that of the parts,
+    scaled to the mass. Raises InputError for a body of which that is not known.
+    """
+    mass = _mass(source, prim)
+    center, inertia = _center(source, prim, rest), _inertia(source, prim, rest)
+    if mass > 0.0 and center is not None and inertia is not None:
+        return MassProperties(mass, center, inertia)
+    if not parts:
+        if mass > 0.0 and inertia is not None:
+            return MassProperties(mass, np.zeros(3), inertia)
+        mend = "author physics:mass and physics:diagonalInertia, or apply PhysicsCollisionAPI to a shape of it"
+        raise source.error("has no collider to find its mass by", prim, "physics:mass", mend)
+    found = _together([_of_part(source, part) for part in parts])
+    scale = mass / found.mass if mass > 0.0 else 1.0
+    if center is None:
+        center = found.center
+    if inertia is None:
+        away = center - found.center
+        shifted = found.mass * (away @ away * np.eye(3) - np.outer(away, away))
+        inertia = scale * (found.inertia + shifted)
+    return MassProperties(scale * found.mass, center, inertia)
+
+
+def _together(parts: Sequence[MassProperties]) -> MassProperties:
+    """Steiner's theorem."""
+    mass = sum(part.mass for part in parts)
+    center = sum(part.mass * part.center for part in parts) / mass
+    inertia = np.zeros((3, 3))
+    for part in parts:
+        away = part.center - center
+        inertia += part.inertia + part.mass * (away @ away * np.eye(3) - np.outer(away, away))
+    return MassProperties(mass, center, inertia)
+
+
+def _of_part(source: Source, part: Part) -> MassProperties:
+    surface, density = part.body.surface, part.given["density"]
+    if surface.shape is not None:
+        found = of_shape(surface.shape, density)
+    else:
+        try:
+            found = of_mesh(surface.points, surface.triangles, density)
+        except ValueError as error:
+            mend = "close it, or author physics:mass, physics:centerOfMass and physics:diagonalInertia of its body"
+            raise source.error(
+                "encloses no volume, so its mass is not known", part.body.prim, mend=mend
+            ) from error
+    own = _mass(source, part.body.prim)
+    if own > 0.0:
+        return MassProperties(own, found.center, found.inertia * own / found.mass)
+    return found
+
+
+def _mass(source: Source, prim: Usd.Prim) -> float:
+    """[kg], 0 where none is authored."""
+    value = _value(source, prim, UsdPhysics.MassAPI(prim).GetMassAttr())
+    if value is None or value == 0.0:
+        return 0.0
+    if not (np.isfinite(value) and value > 0.0):
+        raise source.error(f"is {value:g}", prim, "physics:mass", "author a positive number")
+    return float(value) * source.units.kilograms_per_unit
+
+
+def _center(source: Source, prim: Usd.Prim, rest: np.ndarray) -> np.ndarray | None:
+    value = _value(source, prim, UsdPhysics.MassAPI(prim).GetCenterOfMassAttr())
+    if value is None or np.all(np.array(value) == -np.inf):  # the schema's 'not authored'
+        return None
+    if not np.isfinite(value).all():
+        raise source.error("is not finite", prim, "physics:centerOfMass", "author finite numbers")
+    return rest[:3, :3] @ np.array(value, dtype=np.float64) + rest[:3, 3]
+
+
+def _inertia(source: Source, prim: Usd.Prim, rest: np.ndarray) -> np.ndarray | None:
+    """(3, 3) [kg m2] in rest space."""
+    api, units = UsdPhysics.MassAPI(prim), source.units
+    value = _value(source, prim, api.GetDiagonalInertiaAttr())
+    if value is None or not np.any(value):
+        return None
+    diagonal = np.array(value, dtype=np.float64)
+    if not (np.isfinite(diagonal).all() and (diagonal > 0.0).all()):
+        raise source.error(f"is {value}", prim, "physics:diagonalInertia", "author three positive numbers")
+    turn = rotation_of(rest[:3, :3])
+    axes = _value(source, prim, api.GetPrincipalAxesAttr())
+    if axes is not None and axes.GetLength() > 0.0:
+        turn = turn @ of_quaternion(axes)
+    return turn @ np.diag(diagonal) @ turn.T * units.kilograms_per_unit * units.meters_per_unit**2
+
+
+def _value(source: Source, prim: Usd.Prim, attribute: Usd.Attribute) -> Any:
+    applied = prim.HasAPI(UsdPhysics.MassAPI)
+    return attribute.Get(source.start) if applied and attribute and attribute.HasAuthoredValue() else None

@@ -1,0 +1,169 @@
+"""Rigid props: what UsdPhysics says of bodies that move without deforming, as the scene has them.
+
+A body's rest space has the world's axes at the first frame and the origin of the body's prim: whatever scale or
+shear lies above is in the rest points, and a pose is a rotation and a translation alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdPhysics
+
+from plait.pipeline.config import Config
+from plait.pipeline.read import parameters
+from plait.pipeline.read.masses import Part, read_mass
+from plait.pipeline.read.motions import WorldToLocal
+from plait.pipeline.read.parameter_table import RIGID
+from plait.pipeline.read.roles import Role
+from plait.pipeline.read.solids import solid_shape
+from plait.pipeline.read.source import Source
+from plait.pipeline.read.surfaces import Bodies, Body
+from plait.pipeline.read.turns import rotation_of
+from plait.pipeline.shot import TransformOutput
+from plait.solver.scene import RigidBody, StaticMotion, Surface
+
+
+class Props:
+    """The rigid bodies of a shot, in the order of `Scene.rigid_bodies`.
+
+    paths: of the bodies' prims.
+    """
+
+    def __init__(self, source: Source, bodies: Bodies, assigned: Sequence[Role], config: Config) -> None:
+        """Puts the surfaces of all of them into `bodies`, which from now on gives them in their body's rest space.
+
+        Raises InputError for what cannot be rigid, or has no mass.
+        """
+        self._source, self._surfaces = source, bodies
+        self._parts: dict[str, list[Part]] = {}
+        for role in assigned:
+            if role.role == "rigid" and role.supported and role.body:
+                parts = self._parts.setdefault(role.body, [])
+                if role.collides:
+                    parts.append(self._part(role, bodies, config))
+        self.paths = tuple(self._parts)
+        self._carry()
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def placement(self, path: str) -> np.ndarray:
+        """(4, 4), the prim's own space [stage units] to scene coordinates [m], at the first frame."""
+        matrix = self._source.metric(self._source.placed_at_start(self._prim(path)))
+        matrix[:3, :3] *= self._source.units.meters_per_unit
+        return matrix
+
+    def rest(self, path: str) -> np.ndarray:
+        """(4, 4), the prim's own space [stage units] to the rest space of its body [m]."""
+        matrix = self.placement(path)
+        matrix[:3, 3] = 0.0
+        return matrix
+
+    def rigid_bodies(self, surfaces: Sequence[Surface]) -> tuple[RigidBody, ...]:
+        """surfaces: all of the scene, among them those of the bodies."""
+        return tuple(self._rigid_body(index, path, surfaces) for index, path in enumerate(self.paths))
+
+    def outputs(self) -> tuple[TransformOutput, ...]:
+        """How the bodies' prims get their transforms back."""
+        return tuple(self._output(index, path) for index, path in enumerate(self.paths))
+
+    def _prim(self, path: str) -> Usd.Prim:
+        return self._source.stage.GetPrimAtPath(path)
+
+    def _part(self, role: Role, bodies: Bodies, config: Config) -> Part:
+        prim, holder = role.prim, self._prim(role.body)
+        body = bodies.get(prim)
+        if body is None:
+            raise self._source.error("has no triangle with an area", prim, mend="give the rigid body a surface")
+        if body.binding is not None:
+            mend = "take its binding off, or make it a kinematic body"
+            raise self._source.error("is skinned, which a rigid body cannot be", prim, "skel:skeleton", mend)
+        return Part(body, parameters.resolve(self._source, prim, RIGID, config, holder))
+
+    def _carry(self) -> None:
+        for index, path in enumerate(self.paths):
+            place = self.placement(path)[:3, 3]
+            held = self._parts[path]
+            for k, part in enumerate(held):
+                held[k] = replace(part, body=self._carried(part, index, place))
+                self._surfaces.replace(held[k].body)
+
+    def _carried(self, part: Part, index: int, place: np.ndarray) -> Body:
+        """The part's surface in the rest space of the body whose prim has its origin at `place` [m]."""
+        body, given = part.body, part.given
+        points = body.posed - place
+        own_to_rest = self.placement(body.path)
+        own_to_rest[:3, 3] -= place
+        to_world = np.eye(4)
+        to_world[:3, 3] = place
+        surface = replace(
+            body.surface,
+            points=points,
+            triangles=_outward(points, body.surface.triangles),
+            motion=StaticMotion(to_world),
+            thickness=given["clearance"],
+            friction=given["friction"] if "friction" in given else None,
+            rigid=index,
+            shape=solid_shape(self._source, body.prim, own_to_rest),
+        )
+        return replace(
+            body, surface=surface, rest_to_world=to_world, own_to_rest=own_to_rest, bind_to_rest=own_to_rest
+        )
+
+    def _rigid_body(self, index: int, path: str, surfaces: Sequence[Surface]) -> RigidBody:
+        prim, parts = self._prim(path), self._parts[path]
+        mass = read_mass(self._source, prim, parts, self.rest(path))
+        to_world = np.eye(4)
+        to_world[:3, 3] = self.placement(path)[:3, 3]
+        linear, angular = self._velocities(prim)
+        return RigidBody(
+            name=path,
+            surfaces=tuple(i for i, surface in enumerate(surfaces) if surface.rigid == index),
+            mass=mass.mass,
+            center_of_mass=mass.center,
+            inertia=mass.inertia,
+            motion=StaticMotion(to_world),
+            velocity=linear,
+            angular_velocity=angular,
+            restitution=max((part.given["restitution"] for part in parts), default=0.0),
+        )
+
+    def _velocities(self, prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray]:
+        """[m/s], and [rad/s] from degrees; world, from the space that the prim's transform is in."""
+        source, body = self._source, UsdPhysics.RigidBodyAPI(prim)
+        if body.GetStartsAsleepAttr().Get(source.start):
+            source.warn("is ignored: bodies start awake", prim, "physics:startsAsleep")
+        to_world = source.placed_at_start(_frame_of(prim))[:3, :3]
+        found = []
+        for attribute in (body.GetVelocityAttr(), body.GetAngularVelocityAttr()):
+            value = attribute.Get(source.start) if attribute else None
+            vector = np.zeros(3) if value is None else np.array(value, dtype=np.float64)
+            if not np.isfinite(vector).all():
+                raise source.error("is not finite", prim, attribute.GetName(), "author finite numbers")
+            found.append(vector)
+        return to_world @ found[0] * source.units.meters_per_unit, rotation_of(to_world) @ np.radians(found[1])
+
+    def _output(self, index: int, path: str) -> TransformOutput:
+        prim = self._prim(path)
+        # What moves with another body would be carried by it a second time.
+        nested = any(path.startswith(f"{other}/") for other in self.paths)
+        resets = nested or UsdGeom.Xformable(prim).GetResetXformStack()
+        frame = self._source.stage.GetPseudoRoot() if resets else prim.GetParent()
+        return TransformOutput(path, index, self.rest(path), WorldToLocal(self._source, frame), resets)
+
+
+def _frame_of(prim: Usd.Prim) -> Usd.Prim:
+    """The prim in whose space its transform is."""
+    if UsdGeom.Xformable(prim).GetResetXformStack():
+        return prim.GetStage().GetPseudoRoot()
+    return prim.GetParent()
+
+
+def _outward(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The triangles, turned where what they enclose has a volume below zero: drawn inside out, or mirrored."""
+    a, b, c = (points[triangles[:, k]] - points.mean(axis=0) for k in range(3))
+    inside_out = np.einsum("ni,ni->", a, np.cross(b, c)) < 0.0
+    return np.ascontiguousarray(triangles[:, ::-1]) if inside_out else triangles

@@ -1,0 +1,117 @@
+"""Joints as UsdPhysics describes them, and pairs that do not touch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from plait.pipeline.errors import InputError
+
+CUBE = """def Cube "{name}" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"{more}])
+{{
+    double3 xformOp:translate = ({x}, 0, 0)
+    float xformOp:rotateZ = 90
+    float3 xformOp:scale = (3, 3, 3)
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateZ", "xformOp:scale"]
+    {lines}
+}}
+"""
+
+
+def _cube(name: str, x: float, lines: str = "", more: str = "") -> str:
+    return CUBE.format(name=name, x=x, lines=lines, more=more)
+
+
+def _joint(kind: str, lines: str = "", body0: str = "/A", body1: str = "/B") -> str:
+    sides = [f"rel physics:body{k} = <{path}>" for k, path in enumerate((body0, body1)) if path]
+    return f'def Physics{kind}Joint "J"\n{{\n' + "\n".join([*sides, lines]) + "\n}\n"
+
+
+BOTH = _cube("A", 100) + _cube("B", 800)
+MIDDLE = "point3f physics:localPos0 = (0, -100, 0)\npoint3f physics:localPos1 = (0, 100, 0)\n"
+
+
+def _only(shot):
+    (joint,) = shot.scene.joints
+    return joint
+
+
+def _in_world(shot, joint, side: int) -> np.ndarray:
+    body = joint.bodies[side]
+    motion = joint.motion if body is None else shot.scene.rigid_bodies[body].motion
+    return motion.pose(1 / 24).joint_transforms[0] @ joint.frames[side]
+
+
+@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+def test_frames_meet_where_they_are_authored(axis: str, read) -> None:
+    """Local (0, -100, 0), scaled by three and turned a quarter about z, is (300, 0, 0) cm away."""
+    shot = read(BOTH + _joint("Revolute", f'{MIDDLE}uniform token physics:axis = "{axis}"'), meters=0.01)
+    joint = _only(shot)
+    assert joint.kind == "revolute" and joint.bodies == (0, 1) and not joint.collide and joint.limits is None
+    wanted = {"X": (0, 1, 0), "Y": (-1, 0, 0), "Z": (0, 0, 1)}[axis]
+    for side, x in ((0, 4.0), (1, 5.0)):
+        frame = _in_world(shot, joint, side)
+        np.testing.assert_allclose(frame[:3, 3] + shot.scene.origin, [x, 0, 0], atol=1e-6)
+        np.testing.assert_allclose(frame[:3, 2], wanted, atol=1e-7)
+
+
+def test_limits_are_degrees_and_stage_units(read) -> None:
+    limits = "float physics:lowerLimit = -45\nfloat physics:upperLimit = 90"
+    turned = _only(read(BOTH + _joint("Revolute", limits), meters=0.01))
+    np.testing.assert_allclose(turned.limits, np.radians([-45.0, 90.0]))
+    np.testing.assert_allclose(_only(read(BOTH + _joint("Prismatic", limits), meters=0.01)).limits, [-0.45, 0.9])
+    cone = "float physics:coneAngle0Limit = 30\nfloat physics:coneAngle1Limit = 30"
+    ball = _only(read(BOTH + _joint("Spherical", cone)))
+    assert ball.cone == pytest.approx(np.radians(30.0)) and ball.limits is None
+    with pytest.raises(InputError, match="physics:lowerLimit"):
+        read(BOTH + _joint("Revolute", "float physics:lowerLimit = 9\nfloat physics:upperLimit = -9"))
+
+
+@pytest.mark.parametrize("kinematic", [False, True])
+def test_a_side_may_be_the_world_or_what_is_animated(kinematic: bool, read) -> None:
+    """Nothing named is the stage's own origin; a kinematic body carries its side."""
+    lines = "point3f physics:localPos0 = (0, 0, 5)\nbool physics:collisionEnabled = 1"
+    held = _cube("A", 100, "bool physics:kinematicEnabled = 1") + _cube("B", 800)
+    shot = read(held + _joint("Fixed", lines, body0="/A" if kinematic else ""), meters=0.01)
+    joint = _only(shot)
+    assert joint.bodies == (None, 0) and joint.collide
+    expected = [1.0, 0.0, 0.15] if kinematic else [0.0, 0.0, 0.05]
+    np.testing.assert_allclose(_in_world(shot, joint, 0)[:3, 3] + shot.scene.origin, expected, atol=1e-9)
+
+
+def test_what_holds_nothing_is_left_out(read) -> None:
+    shot = read(BOTH + _joint("Fixed", body0="", body1=""))
+    assert not shot.scene.joints and any("</J>" in warning for warning in shot.warnings)
+    assert not read(BOTH + _joint("Fixed", "bool physics:jointEnabled = 0")).scene.joints
+
+
+def test_filtered_pairs(read) -> None:
+    apart = _cube("A", 100, "rel physics:filteredPairs = </B>", ', "PhysicsFilteredPairsAPI"') + _cube("B", 800)
+    shot = read(apart)
+    names = [surface.name for surface in shot.scene.surfaces]
+    assert shot.scene.filtered == ((names.index("/A"), names.index("/B")),)
+
+
+@pytest.mark.parametrize(
+    ("free", "kind"),
+    [((), "fixed"), (("rotY",), "revolute"), (("transX",), "prismatic"), (("rotX", "rotY", "rotZ"), "spherical")],
+)
+def test_a_generic_joint_is_what_its_limits_leave_free(free: tuple[str, ...], kind: str, read) -> None:
+    """A lower limit above the upper one locks."""
+    freedoms = [f"{what}{axis}" for what in ("trans", "rot") for axis in "XYZ" if f"{what}{axis}" not in free]
+    applied = ", ".join(f'"PhysicsLimitAPI:{freedom}"' for freedom in freedoms)
+    lines = "\n".join(
+        f"float limit:{freedom}:physics:low = 1\nfloat limit:{freedom}:physics:high = -1" for freedom in freedoms
+    )
+    joint = _only(read(BOTH + _joint("", lines).replace('"J"', f'"J" (prepend apiSchemas = [{applied}])')))
+    assert joint.kind == kind and joint.limits is None and joint.cone is None
+    if len(free) == 1:
+        axis = np.eye(3)["XYZ".index(free[0][-1])]
+        # Both cubes are turned by a quarter about z.
+        np.testing.assert_allclose(joint.frames[0][:3, 2], [-axis[1], axis[0], axis[2]], atol=1e-7)
+
+
+def test_a_generic_joint_of_other_freedoms_is_refused(read) -> None:
+    shot = read(BOTH + _joint(""))
+    (prim,) = [prim for prim in shot.prims if prim.path == "/J"]
+    assert not prim.supported and "PhysicsJoint" in prim.reason

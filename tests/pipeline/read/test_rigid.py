@@ -1,0 +1,163 @@
+"""Rigid bodies as UsdPhysics describes them: mass, shape, place and motion, in SI and in the world's axes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from plait.pipeline.errors import InputError
+
+BODY = "PhysicsRigidBodyAPI", "PhysicsCollisionAPI", "PhysicsMassAPI"
+# float32 attributes: half a unit in the last place is 6e-8 of a value; a few of them meet.
+ROUNDING = 1e-6
+
+
+def _prim(
+    kind: str, lines: str = "", schemas: tuple[str, ...] = BODY, inside: str = "", name: str = "Body"
+) -> str:
+    applied = ", ".join(f'"{schema}"' for schema in schemas)
+    return f'def {kind} "{name}" (prepend apiSchemas = [{applied}])\n{{\n{lines}\n{inside}\n}}\n'
+
+
+def _place(*operations: str) -> str:
+    """Lines of operations, given as 'type name = value'."""
+    names = ", ".join(f'"xformOp:{operation.split()[1]}"' for operation in operations)
+    lines = [f"{kind} xformOp:{rest}" for kind, rest in (operation.split(" ", 1) for operation in operations)]
+    return "\n".join([*lines, f"uniform token[] xformOpOrder = [{names}]"])
+
+
+def _only(shot):
+    (body,) = shot.scene.rigid_bodies
+    return body
+
+
+def test_mass_of_a_cube_in_centimetres(read) -> None:
+    """m = rho a^3, I = m a^2 / 6; density 1000 kg/m3 where nothing is authored."""
+    body = _only(read(_prim("Cube", "double size = 20"), meters=0.01))
+    assert body.mass == pytest.approx(8.0, rel=ROUNDING)
+    np.testing.assert_allclose(body.inertia, 8.0 * 0.2**2 / 6.0 * np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(body.center_of_mass, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("lines", "mass"),
+    [
+        ("float physics:mass = 3", 3.0),
+        ("float physics:density = 500", 4000.0),
+        ("float physics:mass = 3\nfloat physics:density = 500", 3.0),
+        ("float physics:density = 500\nrel material:binding:physics = </Stuff>", 4000.0),
+        ("rel material:binding:physics = </Stuff>", 16000.0),
+        ("", 8000.0),
+    ],
+)
+def test_mass_comes_before_density_and_density_before_the_material(lines: str, mass: float, read) -> None:
+    stuff = _prim("Material", "float physics:density = 2000", ("PhysicsMaterialAPI",), name="Stuff")
+    assert _only(read(_prim("Cube", lines) + stuff)).mass == pytest.approx(mass, rel=ROUNDING)
+
+
+def test_parts_have_their_own_masses_unless_the_body_has_one(read) -> None:
+    """Two balls, 2 m apart, of 1 and 3 kg: the centre lies at their weighted mean, and Steiner's theorem holds."""
+    parts = "".join(
+        _prim(
+            "Sphere",
+            f"float physics:mass = {mass}\n" + _place(f"double3 translate = ({x}, 0, 0)"),
+            ("PhysicsCollisionAPI", "PhysicsMassAPI"),
+            name=name,
+        )
+        for name, mass, x in (("A", 1, 0), ("B", 3, 2))
+    )
+    body = _only(read(_prim("Xform", schemas=("PhysicsRigidBodyAPI", "PhysicsMassAPI"), inside=parts)))
+    assert body.mass == pytest.approx(4.0, rel=ROUNDING) and len(body.surfaces) == 2
+    np.testing.assert_allclose(body.center_of_mass, [1.5, 0.0, 0.0], atol=ROUNDING)
+    own, apart = 0.4 * 4.0, 0.75 * 2.0**2  # 2/5 m r^2; reduced mass times distance squared
+    np.testing.assert_allclose(body.inertia, np.diag([own, own + apart, own + apart]), atol=1e-5)
+    whole = _prim("Xform", "float physics:mass = 8", ("PhysicsRigidBodyAPI", "PhysicsMassAPI"), parts)
+    heavy = _only(read(whole))
+    assert heavy.mass == pytest.approx(8.0, rel=ROUNDING)
+    np.testing.assert_allclose(heavy.inertia, 2.0 * body.inertia, rtol=1e-5, atol=1e-5)
+
+
+def test_authored_inertia_turns_with_its_axes_and_the_prim(read) -> None:
+    """A quarter turn of the axes about x, then one of the prim about z: (1, 2, 3) -> (1, 3, 2) -> (3, 1, 2)."""
+    lines = (
+        "float physics:mass = 2\nfloat3 physics:diagonalInertia = (1, 2, 3)\n"
+        "quatf physics:principalAxes = (0.70710678, 0.70710678, 0, 0)\n"
+        "point3f physics:centerOfMass = (1, 0, 0)\n" + _place("double rotateZ = 90")
+    )
+    body = _only(read(_prim("Cube", lines)))
+    np.testing.assert_allclose(body.inertia, np.diag([3.0, 1.0, 2.0]), atol=1e-5)
+    np.testing.assert_allclose(body.center_of_mass, [0.0, 1.0, 0.0], atol=1e-6)
+
+
+def test_velocities_are_in_degrees_and_the_parents_space(read) -> None:
+    inner = _prim(
+        "Cube", "vector3f physics:velocity = (100, 0, 0)\nvector3f physics:angularVelocity = (180, 0, 0)"
+    )
+    turned = f'def Xform "Up"\n{{\n{_place("double rotateZ = 90")}\n{inner}}}\n'
+    body = _only(read(turned, meters=0.01))
+    np.testing.assert_allclose(body.velocity, [0.0, 1.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(body.angular_velocity, [0.0, np.pi, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+@pytest.mark.parametrize("kind", ["Cylinder", "Cone", "Capsule"])
+def test_shapes_keep_their_axis_and_bake_one_scale(kind: str, axis: str, read) -> None:
+    """The drawn polygons are inscribed in the shape, and reach its ends."""
+    lines = f'double radius = 0.5\ndouble height = 3\nuniform token axis = "{axis}"\n'
+    lines += _place("double3 translate = (1, 2, 3)", "double rotateX = 30", "float3 scale = (2, 2, 2)")
+    surface = read(_prim(kind, lines)).scene.surfaces[0]
+    shape = surface.shape
+    assert shape.kind == kind.lower() and shape.size[:2] == pytest.approx([1.0, 3.0])
+    local = (surface.points - shape.frame[:3, 3]) @ shape.frame[:3, :3]
+    top = 4.0 if kind == "Capsule" else 3.0
+    assert local[:, 2].max() == pytest.approx(top) and local[:, 2].min() == pytest.approx(-top)
+    across = np.linalg.norm(local[:, :2], axis=1)
+    assert across.max() == pytest.approx(1.0)
+    if kind == "Cone":
+        assert across[np.argmax(local[:, 2])] == pytest.approx(0.0, abs=1e-12), "the apex is at +z"
+
+
+def test_uneven_scales(read) -> None:
+    """A box stays one; a ball becomes what is drawn, and that is said."""
+    place = _place("float3 scale = (1, 2, 3)")
+    box = read(_prim("Cube", place))
+    np.testing.assert_allclose(box.scene.surfaces[0].shape.size, [1.0, 2.0, 3.0])
+    assert _only(box).mass == pytest.approx(1000.0 * 2 * 4 * 6)
+    ball = read(_prim("Sphere", place))
+    assert ball.scene.surfaces[0].shape is None
+    assert any("</Body>" in warning and "polygons" in warning for warning in ball.warnings)
+    assert 0.9 < _only(ball).mass / (1000.0 * 4 / 3 * np.pi * 6) < 1.0, "inscribed"
+
+
+def test_materials_give_friction_and_restitution(read) -> None:
+    lines = "float physics:dynamicFriction = 0.7\nfloat physics:restitution = 0.25"
+    stuff = _prim("Material", lines, ("PhysicsMaterialAPI",), name="Stuff")
+    shot = read(_prim("Cube", "rel material:binding:physics = </Stuff>") + stuff)
+    assert shot.scene.surfaces[0].friction == pytest.approx(0.7)
+    assert _only(shot).restitution == pytest.approx(0.25)
+    assert read(_prim("Cube")).scene.surfaces[0].friction is None, "left to the solver's own"
+
+
+def test_what_is_not_simulated(read) -> None:
+    assert not read(_prim("Cube", "bool physics:kinematicEnabled = 1")).scene.rigid_bodies
+    assert not read(_prim("Cube", "bool physics:rigidBodyEnabled = 0")).scene.rigid_bodies
+    massive = "float physics:mass = 1\nfloat3 physics:diagonalInertia = (1, 1, 1)\n"
+    off = read(_prim("Cube", massive + "bool physics:collisionEnabled = 0"))
+    assert not off.scene.surfaces and _only(off).mass == 1.0
+    awake = read(_prim("Cube", "bool physics:startsAsleep = 1"))
+    assert any("startsAsleep" in warning for warning in awake.warnings)
+
+
+@pytest.mark.parametrize(
+    ("text", "attribute"),
+    [
+        (_prim("Cube", "float physics:mass = -1"), "physics:mass"),
+        (_prim("Cube", "float3 physics:diagonalInertia = (1, -1, 1)"), "physics:diagonalInertia"),
+        (_prim("Cube", "point3f physics:centerOfMass = (nan, 0, 0)"), "physics:centerOfMass"),
+        (_prim("Cube", "vector3f physics:velocity = (inf, 0, 0)"), "physics:velocity"),
+    ],
+)
+def test_values_that_cannot_be_are_refused_by_name(text: str, attribute: str, read) -> None:
+    with pytest.raises(InputError) as caught:
+        read(text)
+    assert "</Body>" in str(caught.value) and attribute in str(caught.value)

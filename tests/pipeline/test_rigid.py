@@ -1,0 +1,205 @@
+"""Rigid props through the command line: what falls, spins and collides comes back as transforms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
+
+from plait.pipeline import driver
+from plait.pipeline.cli import main
+from plait.pipeline.compare import compare
+from plait.pipeline.errors import EXIT_DONE, EXIT_STOPPED
+from plait.pipeline.pack import pack
+from plait.pipeline.stopping import StopRequest
+from plait.pipeline.validate import validate
+
+RATE, FRAMES = 24.0, 4
+BALL, BRICK, HELD = "/World/Set/Ball", "/World/Set/Brick", "/World/Set/Brick/Handle"
+START, SPIN = (10.0, 400.0, -30.0), 90.0  # [cm], [degrees/s]
+
+
+def write_shot(path: Path) -> Path:
+    """In centimetres: under a turned, moved and scaled group that moves on, a ball and a mesh that spins."""
+    stage = Usd.Stage.CreateNew(str(path))
+    stage.SetStartTimeCode(1)
+    stage.SetEndTimeCode(FRAMES)
+    stage.SetTimeCodesPerSecond(RATE)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    group = UsdGeom.Xform.Define(stage, "/World/Set")
+    move = group.AddTranslateOp()
+    move.Set((0, 0, 0), 1)
+    move.Set((5, 3, 1), FRAMES)
+    group.AddRotateYOp().Set(30.0)
+    group.AddScaleOp().Set((2, 2, 2))
+    ball = UsdGeom.Sphere.Define(stage, BALL)
+    ball.CreateRadiusAttr(5.0)
+    ball.AddTranslateOp().Set(START)
+    ball.AddScaleOp().Set((1, 1, 1))
+    brick = UsdGeom.Mesh.Define(stage, BRICK)
+    corners = [(x, y, z) for x in (-1, 1) for y in (-2, 2) for z in (-3, 3)]
+    brick.CreatePointsAttr(corners)
+    brick.CreateExtentAttr([(-1, -2, -3), (1, 2, 3)])
+    brick.CreateFaceVertexCountsAttr([4] * 6)
+    brick.CreateFaceVertexIndicesAttr([0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3])
+    brick.CreateSubdivisionSchemeAttr("none")
+    brick.AddRotateZOp().Set(20.0)
+    for prim in (ball.GetPrim(), brick.GetPrim()):
+        body = UsdPhysics.RigidBodyAPI.Apply(prim)
+        UsdPhysics.CollisionAPI.Apply(prim)
+    body.CreateAngularVelocityAttr((0, SPIN, 0))
+    UsdGeom.Xform.Define(stage, HELD).AddTranslateOp().Set((0, 2, 0))
+    stage.Save()
+    return path
+
+
+def _sim(shot: Path, out: Path, *more: str) -> int:
+    return main(
+        ["sim", str(shot), "-o", str(out), "--preroll", "0", "--progress", "none", "--threads", "1", *more]
+    )
+
+
+def _world(path: Path, prim: str, code: float) -> np.ndarray:
+    """(4, 4), column vectors, stage units."""
+    stage = Usd.Stage.Open(str(path))
+    return np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(stage.GetPrimAtPath(prim))).T
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("rigid")
+    shot, out = write_shot(folder / "shot.usda"), folder / "out.usda"
+    assert _sim(shot, out, "--set", "output.chunk=2") == EXIT_DONE
+    return shot, out
+
+
+def test_the_first_frame_is_as_drawn(result: tuple[Path, Path]) -> None:
+    shot, out = result
+    for prim in (BALL, BRICK, HELD):
+        np.testing.assert_allclose(_world(out, prim, 1), _world(shot, prim, 1), atol=1e-4)
+
+
+def test_bodies_fall_in_the_world_not_with_their_group(result: tuple[Path, Path]) -> None:
+    """x = x0 + g t^2 / 2, which any step of a rigid body's exact free flight gives."""
+    shot, out = result
+    for prim in (BALL, BRICK):
+        for code in range(1, FRAMES + 1):
+            fallen = np.array([0.0, -0.5 * 981.0 * ((code - 1) / RATE) ** 2, 0.0])
+            moved = _world(out, prim, code)[:3, 3] - _world(shot, prim, 1)[:3, 3]
+            # The first-order step of gravity: at most g h t / 2, with h a substep of the default 8 a frame.
+            assert np.abs(moved - fallen).max() <= 0.5 * 981.0 / RATE / 8 * (code - 1) / RATE + 1e-3
+
+
+def test_a_spin_about_the_groups_axis(result: tuple[Path, Path]) -> None:
+    """Turned about y, which the group keeps upright, by the rate times the time; sizes never change."""
+    shot, out = result
+    before, after = _world(shot, BRICK, 1)[:3, :3], _world(out, BRICK, FRAMES)[:3, :3]
+    turn = after @ np.linalg.inv(before)
+    np.testing.assert_allclose(turn.T @ turn, np.eye(3), atol=1e-9)
+    angle = np.degrees(np.arccos(0.5 * (np.trace(turn) - 1.0)))
+    assert angle == pytest.approx(SPIN * (FRAMES - 1) / RATE, abs=0.5), "a lopsided body's spin wanders a little"
+
+
+def test_transforms_alone_are_written(result: tuple[Path, Path]) -> None:
+    _, out = result
+    stage = Usd.Stage.Open(str(out))
+    for path in (BALL, BRICK):
+        prim = stage.GetPrimAtPath(path)
+        assert [op.GetOpName() for op in UsdGeom.Xformable(prim).GetOrderedXformOps()] == [
+            "xformOp:transform:plait"
+        ]
+        assert not prim.HasAttribute("points") or not prim.GetAttribute("points").GetTimeSamples()
+    assert stage.GetPrimAtPath(BALL).GetAttribute("xformOp:translate").Get() == Gf.Vec3d(START)
+    assert validate(out) == []
+
+
+def test_packed_it_is_the_same_and_compare_sees_motion(result: tuple[Path, Path]) -> None:
+    _, out = result
+    packed = out.with_name("packed.usda")
+    pack(out, packed)
+    same = compare(out, packed, 0.0)
+    assert same.ok and {prim.path for prim in same.prims} >= {BALL, BRICK}
+    layer = Sdf.Layer.FindOrOpen(str(packed))
+    name = f"{BALL}.xformOp:transform:plait"
+    moved = Gf.Matrix4d(layer.QueryTimeSample(name, FRAMES))
+    layer.SetTimeSample(name, FRAMES, moved.SetTranslateOnly(moved.ExtractTranslation() + Gf.Vec3d(1, 0, 0)))
+    layer.Save()
+    judged = compare(out, packed, 0.01)
+    (other,) = [prim for prim in judged.prims if not prim.same]
+    # One unit under a scale of two, in centimetres.
+    assert other.path == BALL and other.largest.max() == pytest.approx(0.02, rel=1e-4)
+    assert other.first_beyond == FRAMES
+
+
+class _StopsSoon(StopRequest):
+    """A signal that comes during the third frame."""
+
+    asked = 0
+
+    def __bool__(self) -> bool:
+        self.asked += 1
+        return self.asked >= 3
+
+
+def test_resumed_it_is_the_same_to_the_bit(result: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    shot, out = result
+    again = out.with_name("again.usda")
+    with monkeypatch.context() as patch:
+        patch.setattr(driver, "StopRequest", _StopsSoon)
+        assert _sim(shot, again, "--set", "output.chunk=2") == EXIT_STOPPED
+    assert _sim(shot, again, "--set", "output.chunk=2", "--resume") == EXIT_DONE
+    chunks = sorted(out.with_suffix(".cache").glob("chunk.*"))
+    assert len(chunks) == 2
+    for chunk in chunks:
+        assert (again.with_suffix(".cache") / chunk.name).read_bytes() == chunk.read_bytes()
+
+
+def test_a_pendulum_hangs_on_its_hinge(tmp_path: Path) -> None:
+    """A bob on a hinge of the world keeps its distance, and swings as theta'' = -(3 g / 4 l) cos(theta) starts."""
+    path = tmp_path / "shot.usda"
+    stage = Usd.Stage.CreateNew(str(path))
+    stage.SetStartTimeCode(1)
+    stage.SetEndTimeCode(FRAMES)
+    stage.SetTimeCodesPerSecond(RATE)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    rod = UsdGeom.Cube.Define(stage, "/Rod")
+    rod.AddTranslateOp().Set((1, 0, 0))
+    rod.AddScaleOp().Set((1, 0.01, 0.01))
+    UsdPhysics.RigidBodyAPI.Apply(rod.GetPrim())
+    UsdPhysics.CollisionAPI.Apply(rod.GetPrim())
+    hinge = UsdPhysics.RevoluteJoint.Define(stage, "/Hinge")
+    hinge.CreateAxisAttr("Y")
+    hinge.CreateBody1Rel().SetTargets(["/Rod"])
+    hinge.CreateLocalPos1Attr((-1, 0, 0))
+    stage.Save()
+    out = tmp_path / "out.usda"
+    assert _sim(path, out, "--substeps", "32") == EXIT_DONE
+    for code in range(1, FRAMES + 1):
+        matrix = _world(out, "/Rod", code)
+        assert np.linalg.norm(matrix[:3, 3]) == pytest.approx(1.0, abs=1e-5)
+        np.testing.assert_allclose(matrix @ [-1, 0, 0, 1], [0, 0, 0, 1], atol=1e-5)
+        time = (code - 1) / RATE
+        angle = np.arctan2(-matrix[2, 3], matrix[0, 3])
+        # A uniform rod of length 2: 3 g / (2 * 2), to the second order in time, and a first-order step's error.
+        start = 0.5 * 0.75 * 9.81 * time**2
+        assert angle == pytest.approx(start, abs=start**3 + 0.75 * 9.81 * time / RATE / 32 + 1e-4)
+
+
+EXAMPLES = "samples/PixarAnimationStudios_OpenUSD/pxr/usd/usdPhysics/examples"
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["BoxOnBox", "BoxOnQuad", "DistanceJoint", "GroupFiltering", "Joints", "PairFiltering", "SpheresWithMaterial"],
+)
+def test_examples_of_usd_physics_run_as_they_are(name: str, shared: Path, tmp_path: Path) -> None:
+    shot = shared / EXAMPLES / f"usdPhysics{name}.usda"
+    if not shot.is_file():
+        pytest.skip("the samples do not hold it")
+    assert _sim(shot, tmp_path / "out.usda", "-f", "1:24") == EXIT_DONE
+    assert validate(tmp_path / "out.usda") == []
