@@ -24,7 +24,7 @@ FEATURES = (
     (
         "carried",
         "plait.solver.kinematics.carried",
-        lambda scene: bool((scene.bodies or scene.rigid_bodies) and scene.strands),
+        lambda scene: bool((scene.bodies or scene.rigid_bodies) and (scene.strands or scene.granular)),
     ),
     ("strands", "plait.solver.strands.stage", lambda scene: bool(scene.strands)),
     ("granular", "plait.solver.granular.stage", lambda scene: bool(scene.granular)),

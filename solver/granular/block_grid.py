@@ -53,6 +53,21 @@ class BlockGrid:
         nodes = self.data.node_origin.numpy()[: self.node_block_count, None] + local
         return nodes.reshape(-1, 3) * self.cell_size
 
+    def find_nodes(self, cells: np.ndarray) -> np.ndarray:
+        """(n,) where in `node` the nodes at (n, 3) int [cells] are; -1 for those that no particle reaches."""
+        origin = self.data.node_origin.numpy()[: self.node_block_count].astype(np.int64)
+        lower = origin.min(axis=0)
+        at = (origin - lower) // BLOCK
+        shape = at.max(axis=0) + 1
+        block, local = np.divmod(cells - lower, BLOCK)
+        inside = ((block >= 0) & (block < shape)).all(axis=1)
+        keys = np.ravel_multi_index(at.T, shape)
+        wanted = np.ravel_multi_index(np.where(inside[:, None], block, 0).T, shape)
+        order = np.argsort(keys)
+        slot = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+        found = inside & (keys[slot] == wanted)
+        return np.where(found, slot * BLOCK_NODES + np.ravel_multi_index(local.T, (BLOCK,) * 3), -1)
+
     @property
     def bytes(self) -> int:
         """What the grid and the sorting hold in memory."""

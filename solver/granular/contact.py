@@ -1,147 +1,111 @@
-"""Granular matter against the surfaces of the scene that no body carries: host side."""
+"""Granular matter against all that is in its way: host side."""
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Protocol
+
 import numpy as np
-import warp as wp
 
-from plait.solver.contact.bodies import rim_features
-from plait.solver.granular.contact_kernels import AT_SURFACE, MovingSurface, contact_kernels, find_depths
 from plait.solver.granular.matter import Matter
-from plait.solver.granular.types import BLOCK, BLOCK_NODES
-from plait.solver.kinematics.colliders import Collider
+from plait.solver.granular.near_surfaces import NearSurfaces
 from plait.solver.model import Interval, Model
+from plait.solver.state import State
 
-# Nodes are looked at that are no further [cells] from a surface, on either side: so deep matter is still led out.
-REACH = 3.0
-# Costs in units of `Launcher.launch`.
-QUERY_WORK, CONTACT_WORK = 60, 2
+if TYPE_CHECKING:
+    from plait.solver.scene import Surface
 
 
-class SurfaceContact:
-    """Contact of the grid's nodes with moving triangle surfaces, by their nearest points.
+class Exchange(Protocol):
+    """Momentum that passes between grains and one kind of what they meet, node by node (Han 2019 (46)-(50)).
 
-    In each substep of the simulation `begin_substep`, and in each step of the matter `act` on `grid.velocity`.
-    A closed surface keeps matter out of it, an open one on the side that it faces. Nothing thinner than a cell
-    keeps matter on both its sides apart: they share nodes.
-
-    speed: [m/s] the fastest of the surfaces near.
-    impulse: {index into Scene.surfaces: (3,) [kg m/s] on the matter since `begin_frame`}.
+    Read with the friction impulse as one vector of opposite signs, which the printed (49) and (50) are not where
+    it sticks. What is met has moved already in this substep of the simulation; the grains then take many steps in
+    it. Within these it gives way as its mass lets it, and takes up what the grains gave it in its next substep.
     """
 
-    def __init__(self, model: Model, matter: Matter, real: type) -> None:
-        self._kinematics, self._launcher = model.parts["kinematics"], model.launcher
-        self._matter, self._kernels = matter, contact_kernels(real)
-        self._friction = {
-            index: model.scene.granular[0].friction if surface.friction is None else surface.friction
-            for index, surface in enumerate(model.scene.surfaces)
+    speed: float  # [m/s] no part of what is met goes faster along an axis
+
+    def begin_substep(self, substep: Interval) -> None:
+        """Nothing has been given yet."""
+
+    def find(self, time: float) -> None:
+        """Takes up the nodes in contact, whenever particles have been sorted or the surfaces are others."""
+
+    def act(self, since: float, part: float) -> None:
+        """On `grid.velocity`, so long [s] after the substep's start, which is that part of it."""
+
+    def end_substep(self) -> None:
+        """Hands over what has been given."""
+
+
+class GrainContact:
+    """All contact of grains with what is not grains.
+
+    In each substep of the simulation `begin_substep`; in each step of the matter `act` on `grid.velocity`; then
+    `end_substep`. What the scene lacks is not built.
+
+    State arrays: those of the exchanges.
+    """
+
+    def __init__(self, model: Model, state: State, matter: Matter, real: type) -> None:
+        scene, folder = model.scene, "plait.solver.granular"
+        self._matter = matter
+        surfaces = NearSurfaces(model, matter) if model.parts["kinematics"].colliders is not None else None
+        kinds = (
+            ("flesh_exchange", surfaces is not None and bool(scene.bodies)),
+            ("strand_exchange", bool(scene.strands)),
+            ("rigid_exchange", surfaces is not None and bool(scene.rigid_bodies)),
+            ("animated_exchange", surfaces is not None and any(map(_animated, scene.surfaces))),
+        )
+        self._surfaces = surfaces
+        self._exchanges: dict[str, Exchange] = {
+            name: import_module(f"{folder}.{name}").build(model, state, matter, surfaces, real)
+            for name, needed in kinds
+            if needed
         }
-        self._near: list[Collider] = []
-        self._rim = self._find_rims()
-        self._sorts, self._count, self.speed = -1, 0, 0.0
-        self._surface = np.zeros(0, dtype=np.int64)
-        self.impulse: dict[int, np.ndarray] = {}
+        self._sorts = -1
+
+    @property
+    def speed(self) -> float:
+        """[m/s] the fastest that comes near."""
+        return max((exchange.speed for exchange in self._exchanges.values()), default=0.0)
+
+    @property
+    def impulse(self) -> dict[int, np.ndarray]:
+        """{index into Scene.surfaces: (3,) [kg m/s] on the grains since `begin_frame`}, of those no body carries."""
+        animated = self._exchanges.get("animated_exchange")
+        return animated.impulse if animated is not None else {}
 
     def begin_frame(self) -> None:
-        self.collect()
-        self.impulse = {}
+        animated = self._exchanges.get("animated_exchange")
+        if animated is not None:
+            animated.begin_frame()
 
     def begin_substep(self, substep: Interval, margin: float) -> None:
-        """Takes up the surfaces within `margin` [m] of the matter."""
-        self.collect()
-        lower, upper = self._matter.grid.bounds()
-        near = self._kinematics.colliders_near(lower - margin, upper + margin, substep)
-        unmoved = near == self._near and not any(collider.moves for collider in near)
-        self._near, self._substep = near, substep
-        self.speed = max((self._speed_of(collider) for collider in near if collider.moves), default=0.0)
-        if not unmoved:
-            self._sorts, self._count = -1, 0
-
-    def _speed_of(self, collider: Collider) -> float:
-        """[m/s] the largest part along an axis, of any point in the substep."""
-        points, kinematics = self._kinematics.colliders.points, self._kinematics
-        start, end = (points[k][collider.points].numpy() for k in (kinematics.start, kinematics.end))
-        return float(np.abs(end - start).max() / self._substep.length)
+        """Takes up what is within `margin` [m] of the matter."""
+        self._substep = substep
+        if self._surfaces is None or self._surfaces.begin_substep(substep, margin):
+            self._sorts = -1
+        for exchange in self._exchanges.values():
+            exchange.begin_substep(substep)
 
     def act(self, time: float) -> None:
         """On `grid.velocity`, in a step that starts at `time` [s]."""
-        if not self._near:
-            return
-        if self._sorts != self._matter.sorts:
-            self.collect()
-            self._find()
-            self._sorts = self._matter.sorts
         since = time - self._substep.start
-        inputs = [self._contacts, since]
-        grid = self._matter.grid
-        self._launcher.launch(self._kernels.act, self._count, inputs, [grid.velocity], work_per_item=CONTACT_WORK)
+        if self._sorts != self._matter.sorts:
+            self._sorts = self._matter.sorts
+            if self._surfaces is not None:
+                self._surfaces.find()
+            for exchange in self._exchanges.values():
+                exchange.find(since)
+        for exchange in self._exchanges.values():
+            exchange.act(since, since / self._substep.length)
 
-    def collect(self) -> None:
-        """Adds up `impulse`."""
-        if self._count:
-            impulse = self._contacts.impulse.numpy()
-            for surface in np.unique(self._surface):
-                total = impulse[self._surface == surface].sum(axis=0)
-                self.impulse[int(surface)] = self.impulse.get(int(surface), np.zeros(3)) + total
-            self._contacts.impulse.zero_()
+    def end_substep(self) -> None:
+        for exchange in self._exchanges.values():
+            exchange.end_substep()
 
-    def _find(self) -> None:
-        """The contacts that nodes may have in this substep."""
-        found = [self._find_on(collider) for collider in self._near]
-        node, height, normal, velocity = (np.concatenate(x) for x in zip(*found, strict=True))
-        counts = [len(x[0]) for x in found]
-        surface = np.repeat([c.index for c in self._near], counts)
-        order = np.argsort(node, kind="stable")
-        nodes, first = np.unique(node[order], return_index=True)
-        self._count, self._surface = len(nodes), surface[order]
-        contacts, device = self._kernels.Contacts(), self._launcher.device
-        friction = np.array([self._friction[s] for s in self._surface])
-        values = {"first": np.append(first, len(node)), "node": nodes, "friction": friction}
-        values |= {"height": height[order], "normal": normal[order], "velocity": velocity[order]}
-        values["impulse"] = np.zeros((len(node), 3))
-        for name, held in self._kernels.Contacts.vars.items():
-            setattr(contacts, name, wp.array(values[name], dtype=held.type.dtype, device=device))
-        self._contacts = contacts
 
-    def _find_on(self, collider: Collider) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Nodes that may come behind one surface, their heights, its normals and velocities there."""
-        grid, device, kinematics = self._matter.grid, self._launcher.device, self._kinematics
-        reach, substep = REACH * grid.cell_size, self._substep
-        box = kinematics.box(collider, [substep.start, substep.end])
-        origin = grid.data.node_origin.numpy()
-        margin = reach + collider.surface.thickness
-        lower, upper = origin * grid.cell_size, (origin + BLOCK - 1) * grid.cell_size
-        chosen = np.flatnonzero(((lower <= box[1] + margin) & (upper >= box[0] - margin)).all(axis=1))
-        count = len(chosen) * BLOCK_NODES
-        height = wp.zeros(count, dtype=wp.float64, device=device)
-        normal, velocity = (wp.zeros(count, dtype=wp.vec3d, device=device) for _ in range(2))
-        inputs = [self._posed(collider), wp.array(chosen.astype(np.int32), dtype=wp.int32, device=device)]
-        inputs += [grid.data.node_origin, grid.cell_size, margin]
-        launch = self._launcher.launch
-        launch(find_depths, count, inputs, [height, normal, velocity], work_per_item=QUERY_WORK)
-        node = (chosen[:, None] * BLOCK_NODES + np.arange(BLOCK_NODES)).ravel()
-        # A node on the surface, but for rounding, is behind it.
-        above = height.numpy() - collider.surface.thickness - float(AT_SURFACE) * grid.cell_size
-        least = above - substep.length * np.maximum(np.einsum("na,na->n", velocity.numpy(), normal.numpy()), 0.0)
-        kept = least <= 0.0
-        return node[kept], above[kept], normal.numpy()[kept], velocity.numpy()[kept]
-
-    def _find_rims(self) -> wp.array:
-        """(triangle_count,) bits of the features of each triangle that lie on an open border."""
-        colliders = self._kinematics.colliders
-        held = colliders.triangles.numpy()
-        rims = [
-            rim_features(held[c.first_triangle :][: c.triangle_count] - c.first_point) for c in colliders.items
-        ]
-        return wp.array(np.concatenate(rims), dtype=wp.int32, device=self._launcher.device)
-
-    def _posed(self, collider: Collider) -> MovingSurface:
-        kinematics, colliders = self._kinematics, self._kinematics.colliders
-        surface = MovingSurface()
-        surface.mesh = collider.meshes[kinematics.start].id
-        surface.first_triangle, surface.triangles = collider.first_triangle, colliders.triangles
-        surface.points_start = colliders.points[kinematics.start]
-        surface.points_end = colliders.points[kinematics.end]
-        surface.length = self._substep.length
-        surface.rim = self._rim
-        return surface
+def _animated(surface: Surface) -> bool:
+    return surface.collides and surface.body is None and surface.rigid is None

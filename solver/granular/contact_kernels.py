@@ -46,8 +46,10 @@ def find_depths(
     height_out: wp.array(dtype=wp.float64),
     normal_out: wp.array(dtype=wp.vec3d),
     velocity_out: wp.array(dtype=wp.vec3d),
+    triangle_out: wp.array(dtype=wp.int32),
+    weights_out: wp.array(dtype=wp.vec3d),
 ):
-    """Signed distance [m] of nodes to a surface, its normal there and its velocity [m/s].
+    """Signed distance [m] of nodes to a surface, its normal there and its velocity [m/s], and where on it that is.
 
     Of the blocks of nodes `chosen`, one node an item. APART where the surface is further than `reach`, and beside
     its open border, where nothing is behind it.
@@ -74,6 +76,8 @@ def find_depths(
                     normal = -normal
             height_out[item] = wp.where(behind, -distance, distance)
             normal_out[item] = normal
+            triangle_out[item] = index
+            weights_out[item] = nearest.weights
             if surface.length > ZERO:
                 after = interpolate(get_triangle(surface.triangles, surface.points_end, index), nearest.weights)
                 velocity_out[item] = (after - place) / surface.length

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from plait.solver.diagnostics import Diverged
-from plait.solver.granular.contact import SurfaceContact
+from plait.solver.granular.contact import GrainContact
 from plait.solver.granular.emission import emitted
 from plait.solver.granular.matter import Matter
 from plait.solver.granular.transfer_kernels import LOST
@@ -40,7 +40,7 @@ class GranularStage:
 
     It is the last stage of a substep and takes what others have done: its steps always stand.
 
-    matter: the particles and the grid.  contact: with surfaces, None where there are none.
+    matter: the particles and the grid.  contact: with all that is not grains.
 
     State arrays: granular/position, velocity, affine, strain, memory, volume, material, number of the particles,
     in cell order (struct `Particles`); granular/told: (3,) how many there are, `Matter.speed` and `Matter.sound`;
@@ -66,8 +66,7 @@ class GranularStage:
             state.arrays[f"granular/{name}"] = getattr(particles, name)
         state.arrays |= {"granular/told": self._told, "granular/poured": self._poured}
         self._tell()
-        colliders = model.parts["kinematics"].colliders
-        self.contact = SurfaceContact(model, self.matter, real) if colliders is not None else None
+        self.contact = GrainContact(model, state, self.matter, real)
         self._steps = self._sorts = 0
 
     def _cell_size(self) -> float:
@@ -87,8 +86,7 @@ class GranularStage:
         self._steps, self._sorts = 0, matter.sorts
         if matter.count:
             matter.sort()
-        if self.contact is not None:
-            self.contact.begin_frame()
+        self.contact.begin_frame()
 
     def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
         """Steps the matter to the substep's end; raises `Diverged` for what is no longer finite."""
@@ -97,22 +95,21 @@ class GranularStage:
             return True
         if not self.matter.speed < LOST:
             raise Diverged("velocity", self._where_lost(), substep.start)
-        if self.contact is not None:
-            reach = self.matter.grid.cell_size + self.matter.speed * substep.length
-            self.contact.begin_substep(substep, reach)
+        self.contact.begin_substep(substep, self.matter.grid.cell_size + self.matter.speed * substep.length)
         time = substep.start
         while time < substep.end:
             left = substep.end - time
             steps = max(1, int(np.ceil(left / self._stable_length() * (1.0 - 1e-9))))
             self._advance(time, left / steps)
             time = time + left / steps if steps > 1 else substep.end
+        self.contact.end_substep()
         self._tell()
         return True
 
     def _stable_length(self) -> float:
         """[s] by the matter, and by the surfaces it may be struck by."""
         cfl, length = self._settings.cfl, self.matter.stable_length(self._settings.cfl)
-        if self.contact is not None and self.contact.speed > 0.0:
+        if self.contact.speed > 0.0:
             length = min(length, cfl * self.matter.grid.cell_size / self.contact.speed)
         return length
 
@@ -120,8 +117,7 @@ class GranularStage:
         matter = self.matter
         matter.to_grid(length)
         matter.to_velocities()
-        if self.contact is not None:
-            self.contact.act(time)
+        self.contact.act(time)
         if not matter.to_particles():
             raise Diverged("velocity", self._where_lost(), time + length)
         self._steps += 1

@@ -1,4 +1,4 @@
-"""Skins of elastic bodies as strands see them: placed after the bodies have stepped, before the strands do."""
+"""Surfaces that bodies carry, as strands and grains see them: placed after the bodies have stepped."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from plait.solver.state import State
 
 
 class CarriedStage:
-    """Lets the kinematics stage follow the bodies, where strands grow on them or may touch them."""
+    """Lets the kinematics stage follow the bodies, where strands grow on them, or strands or grains may touch them."""
 
     name = "carried"
 

@@ -32,6 +32,7 @@ class KinematicsStage:
         Only in scenes with strands.
     colliders: every surface that collides, or None.  in_reach: those that some strand may touch in this frame;
         only these are skinned.  boxes: (2, 3) bounds [m] of each of them over the frame.
+    followed: the colliders that bodies carry and that strands or grains may touch in this frame.
     start, end: which buffer of `colliders` holds the substep's start and end.
 
     Skins of elastic bodies, and roots on them, go where the bodies take them: `follow_bodies`, once those have
@@ -57,6 +58,7 @@ class KinematicsStage:
         self.colliders = colliders if colliders.items else None
         self.in_reach: list[Collider] = []
         self.boxes: list[np.ndarray] = []
+        self.followed: list[Collider] = []
         self._frame_boxes: dict[int, np.ndarray] = {}
         self.start, self.end = 0, 1
         self._placed: set[int] = set()
@@ -83,16 +85,18 @@ class KinematicsStage:
         self._poses = {key: pose for key, pose in self._poses.items() if key[1] in (frame.start, frame.end, 0.0)}
         self._skinned = 0
         self._placed = set()
-        self.in_reach, self.boxes, self._frame_boxes = [], [], {}
+        self.in_reach, self.boxes, self._frame_boxes, self.followed = [], [], {}, []
         if self.colliders is None:
             return
         times = [frame.start + frame.length * i / (SAMPLES - 1) for i in range(SAMPLES)]
         times[-1] = frame.end
         self._frame_boxes = {c.index: self.box(c, times) for c in self.colliders.items if not c.carried}
-        if self.roots is None:
-            return
-        self._find_in_reach(frame, times)
-        for collider in self.in_reach:
+        if self.roots is not None:
+            self._find_in_reach(frame, times)
+        carried = [collider for collider in self.colliders.items if collider.carried]
+        met_by_grains = carried if self.model.scene.granular else []
+        self.followed = met_by_grains or [collider for collider in self.in_reach if collider.carried]
+        for collider in {c.index: c for c in (*self.in_reach, *self.followed)}.values():
             self._place(collider, self.end, frame.start)
 
     def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
@@ -106,10 +110,9 @@ class KinematicsStage:
         return True
 
     def follow_bodies(self, time: float) -> None:
-        """Moves the skins that strands may touch, and the roots on them, to where the bodies are at `time`."""
-        for collider in self.in_reach:
-            if collider.carried:
-                self._place(collider, self.end, time)
+        """Moves the surfaces `followed`, and the roots on bodies, to where the bodies are at `time`."""
+        for collider in self.followed:
+            self._place(collider, self.end, time)
         if self.carries:
             self.place_roots(time)
 
@@ -128,6 +131,18 @@ class KinematicsStage:
             if np.all(box[0] <= upper + margin) and np.all(box[1] >= lower - margin):
                 self._place(collider, self.start, substep.start)
                 self._place(collider, self.end, substep.end)
+                near.append(collider)
+        return near
+
+    def followed_near(self, lower: np.ndarray, upper: np.ndarray) -> list[Collider]:
+        """Of `followed`, those that are in a box (3,), (3,) [m] at either end of the substep last stepped."""
+        near = []
+        for collider in self.followed:
+            ends = [points[collider.points].numpy() for points in self.colliders.points]
+            margin = collider.surface.thickness
+            below = np.minimum(*(x.min(axis=0) for x in ends)) <= upper + margin
+            above = np.maximum(*(x.max(axis=0) for x in ends)) >= lower - margin
+            if below.all() and above.all():
                 near.append(collider)
         return near
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -182,6 +182,17 @@ class RigidContact:
     def retract(self) -> None:
         """As before `solve`."""
         self._found = False
+
+    def loaded(self) -> Iterator[tuple[tuple[int, int], tuple[np.ndarray, np.ndarray], np.ndarray]]:
+        """Of each contact that bore a load in the last substep: bodies (-1: none), levers [m] and normal, world."""
+        counts, starts = self.contacts.count.numpy(), self.table.first_slot
+        held = {name: getattr(self.contacts, name).numpy() for name in ("body", "lever_a", "lever_b", "normal")}
+        impulse = self.contacts.impulse.numpy()
+        for geom in np.flatnonzero(counts):
+            for c in range(starts[geom], starts[geom] + counts[geom]):
+                if impulse[c] @ held["normal"][c] > 0.0:
+                    pair = tuple(int(b) for b in held["body"][c])
+                    yield pair, (held["lever_a"][c], held["lever_b"][c]), held["normal"][c]
 
     def _keep_found(self) -> None:
         if self._found:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from plait.solver.strand_contact.coupled import StrandContact
     from plait.solver.strand_contact.missed import MissedCollisions
     from plait.solver.strand_contact.paper import PaperStrandContact
+    from plait.solver.strands.pushes import Pushes
 
 # A strand that does not converge is stepped in halves, quarters, ... of its substep, down to this many parts.
 MAX_PIECES = 16
@@ -54,7 +55,9 @@ class StrandsStage:
     State arrays (see `RodState`): strands/position, velocity, director, twist, tension, root_position,
     root_rotation; with free strands spin, and those of `FreeStrands`.
 
+    position, velocity: (node_count,) vec3d [m], [m/s], world, ghosts included.
     warnings: lines for the user about what could not be taken as given.
+    pushes: impulses that others give; None where nobody does.
     """
 
     name = "strands"
@@ -71,6 +74,7 @@ class StrandsStage:
         self._allocate()
         self._method = self._make_method()
         self._reaction: SkinReaction | None = None
+        self.pushes = self._make_pushes(state)
         self._contact = self._make_contact(state)
         self._meetings = self._make_meetings(state)
         self._impulses = self._make_impulses(state)
@@ -131,6 +135,7 @@ class StrandsStage:
         held.root_rotation = hold(root_rotation, wp.mat33d)
         held.spin = wp.zeros(layout.node_count if some_free else 0, dtype=wp.float64, device=device)
         self._held = held
+        self.position, self.velocity = held.position, held.velocity
         self._names = (*STATE_ARRAYS, "spin") if some_free else STATE_ARRAYS
         gained = 0.5 if self._model.settings.strands.integrator == "sdirk2" else 1.0
         self._free = FreeStrands(layout, launcher, state, gained) if some_free else None
@@ -206,6 +211,14 @@ class StrandsStage:
 
         return StrandContact(self._model, state, self.layout, self.rods, self.real)
 
+    def _make_pushes(self, state: State) -> Pushes | None:
+        """Where something pushes strands that they do not see."""
+        if not self._model.scene.granular:
+            return None
+        from plait.solver.strands.pushes import Pushes
+
+        return Pushes(self.layout.mass, self.layout.prescribed, self._launcher, state)
+
     def _make_judge(self) -> MissedCollisions | None:
         """Counts what contact of strands lets through."""
         if self._model.settings.strand_contact.method == "none" or self.layout.strand_count < 2:
@@ -251,6 +264,8 @@ class StrandsStage:
         """
         self._method.step = substep.length
         self._method.warm = 0
+        if self.pushes is not None:
+            self.pushes.take_up(self._held.velocity)
         if self._free is not None:
             self._free.lead(self._held, self._kinematics, substep.length)
         stands, meetings = True, self._meetings
@@ -320,7 +335,9 @@ class StrandsStage:
             wp.copy(getattr(self._held, name), getattr(self._result, name))
 
     def retract(self, state: State, substep: Interval) -> None:
-        """Nothing: a step that does not stand has left the state alone."""
+        """A step that does not stand has left the state alone, but for what others gave."""
+        if self.pushes is not None:
+            self.pushes.retract(self._held.velocity)
 
     def _step_in_contact(self, substep: Interval, last_resort: bool) -> bool:
         """First without contact; then what broke a plane again with planes, from where it is, while any does."""

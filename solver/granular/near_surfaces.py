@@ -1,0 +1,160 @@
+"""Which nodes of the grains' grid come to lie behind which surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import warp as wp
+
+from plait.solver.contact.bodies import rim_features
+from plait.solver.granular.contact_kernels import AT_SURFACE, MovingSurface, find_depths
+from plait.solver.granular.matter import Matter
+from plait.solver.granular.types import BLOCK, BLOCK_NODES
+from plait.solver.kinematics.colliders import Collider
+from plait.solver.model import Interval, Model
+
+# Nodes are looked at that are no further [cells] from a surface, on either side: so deep matter is still led out.
+REACH = 3.0
+# Cost in units of `Launcher.launch`.
+QUERY_WORK = 60
+
+
+@dataclass(frozen=True)
+class Found:
+    """Nodes that may be behind a surface in the substep, ascending; entries for one node stand together.
+
+    node: (n,) into the nodes of `BlockGrid`.  surface: (n,) into Scene.surfaces.
+    height: (n,) [m] above the surface at the substep's start, less the distance that it keeps.
+    normal: (n, 3) unit, out of the surface.  velocity: (n, 3) [m/s] of the surface there.  friction: (n,).
+    triangle: (n,) of `Colliders`, and weights: (n, 3), where on it the nearest point is.
+    """
+
+    node: np.ndarray
+    surface: np.ndarray
+    height: np.ndarray
+    normal: np.ndarray
+    velocity: np.ndarray
+    friction: np.ndarray
+    triangle: np.ndarray
+    weights: np.ndarray
+
+    def of(self, chosen: np.ndarray) -> Found:
+        """The entries (n,) bool."""
+        return Found(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+
+class NearSurfaces:
+    """Nodes against the surfaces that collide, by their nearest points.
+
+    A closed surface keeps matter out of it, an open one on the side that it faces. Nothing thinner than a cell
+    keeps matter on both its sides apart: they share nodes.
+
+    found: by `find`, for the particles' present order.  near: surfaces in reach in this substep.
+    """
+
+    def __init__(self, model: Model, matter: Matter) -> None:
+        self.kinematics, self._launcher, self._matter = model.parts["kinematics"], model.launcher, matter
+        self._friction = np.array(
+            [
+                model.scene.granular[0].friction if surface.friction is None else surface.friction
+                for surface in model.scene.surfaces
+            ]
+        )
+        self.near: list[Collider] = []
+        self._rim = self._find_rims()
+
+    def begin_substep(self, substep: Interval, margin: float) -> bool:
+        """Takes up the surfaces within `margin` [m] of the matter; whether nodes must be found again."""
+        lower, upper = self._matter.grid.bounds()
+        box = lower - margin, upper + margin
+        near = [*self.kinematics.colliders_near(*box, substep), *self.kinematics.followed_near(*box)]
+        unmoved = [c.index for c in near] == [c.index for c in self.near] and not any(c.moves for c in near)
+        self.near, self._substep = near, substep
+        return not unmoved
+
+    def speed(self, carried_by: str | None) -> float:
+        """[m/s] the largest part along an axis, of any point near in the substep; see `carried_by`."""
+        return max((self._speed_of(c) for c in self.near if c.moves and _carrier(c) == carried_by), default=0.0)
+
+    def _speed_of(self, collider: Collider) -> float:
+        start, end = self._ends(collider)
+        return float(np.abs(end - start).max() / self._substep.length)
+
+    def _ends(self, collider: Collider) -> list[np.ndarray]:
+        """Points at the substep's start and end."""
+        points, kinematics = self.kinematics.colliders.points, self.kinematics
+        return [points[k][collider.points].numpy() for k in (kinematics.start, kinematics.end)]
+
+    def find(self) -> None:
+        """Fills `found` for this substep."""
+        every = [self._find_on(collider) for collider in self.near]
+        columns = [np.concatenate(x) for x in zip(*every, strict=True)] if every else _nothing()
+        order = np.argsort(columns[0], kind="stable")
+        self.found = Found(*(column[order] for column in columns))
+
+    def carried(self, by: str | None) -> Found:
+        """Of `found`, what is on surfaces that 'flesh' or a 'rigid' body carries, or none (None)."""
+        kinds = {collider.index: _carrier(collider) for collider in self.near}
+        of_kind = [index for index, kind in kinds.items() if kind == by]
+        return self.found.of(np.isin(self.found.surface, of_kind))
+
+    def _find_on(self, collider: Collider) -> tuple[np.ndarray, ...]:
+        """The columns of `Found` of one surface."""
+        grid, device = self._matter.grid, self._launcher.device
+        reach, substep = REACH * grid.cell_size, self._substep
+        ends = np.concatenate(self._ends(collider))
+        origin = grid.data.node_origin.numpy()[: grid.node_block_count]
+        margin = reach + collider.surface.thickness
+        lower, upper = origin * grid.cell_size, (origin + BLOCK - 1) * grid.cell_size
+        touched = (lower <= ends.max(axis=0) + margin) & (upper >= ends.min(axis=0) - margin)
+        chosen = np.flatnonzero(touched.all(axis=1))
+        count = len(chosen) * BLOCK_NODES
+        outputs = [
+            wp.zeros(count, dtype=dtype, device=device)
+            for dtype in (wp.float64, wp.vec3d, wp.vec3d, wp.int32, wp.vec3d)
+        ]
+        inputs = [self._posed(collider), wp.array(chosen.astype(np.int32), dtype=wp.int32, device=device)]
+        inputs += [grid.data.node_origin, grid.cell_size, margin]
+        self._launcher.launch(find_depths, count, inputs, outputs, work_per_item=QUERY_WORK)
+        height, normal, velocity, triangle, weights = (x.numpy() for x in outputs)
+        node = (chosen[:, None] * BLOCK_NODES + np.arange(BLOCK_NODES)).ravel()
+        # A node on the surface, but for rounding, is behind it.
+        above = height - collider.surface.thickness - float(AT_SURFACE) * grid.cell_size
+        least = above - substep.length * np.maximum(np.einsum("na,na->n", velocity, normal), 0.0)
+        kept = least <= 0.0
+        index = np.full(kept.sum(), collider.index)
+        told = (node[kept], index, above[kept], normal[kept], velocity[kept])
+        return *told, self._friction[index], triangle[kept], weights[kept]
+
+    def _find_rims(self) -> wp.array:
+        """(triangle_count,) bits of the features of each triangle that lie on an open border."""
+        colliders = self.kinematics.colliders
+        held = colliders.triangles.numpy()
+        rims = [
+            rim_features(held[c.first_triangle :][: c.triangle_count] - c.first_point) for c in colliders.items
+        ]
+        return wp.array(np.concatenate(rims), dtype=wp.int32, device=self._launcher.device)
+
+    def _posed(self, collider: Collider) -> MovingSurface:
+        kinematics, colliders = self.kinematics, self.kinematics.colliders
+        surface = MovingSurface()
+        surface.mesh = collider.meshes[kinematics.start].id
+        surface.first_triangle, surface.triangles = collider.first_triangle, colliders.triangles
+        surface.points_start = colliders.points[kinematics.start]
+        surface.points_end = colliders.points[kinematics.end]
+        surface.length = self._substep.length
+        surface.rim = self._rim
+        return surface
+
+
+def _carrier(collider: Collider) -> str | None:
+    if collider.surface.body is not None:
+        return "flesh"
+    return "rigid" if collider.surface.rigid is not None else None
+
+
+def _nothing() -> list[np.ndarray]:
+    """Columns of an empty `Found`."""
+    index, number, vector = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3))
+    return [index, index, number, vector, vector, number, index, vector]

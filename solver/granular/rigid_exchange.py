@@ -1,0 +1,76 @@
+"""Grains against rigid bodies: host side."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from plait.solver.granular.matter import Matter
+from plait.solver.granular.near_surfaces import NearSurfaces
+from plait.solver.granular.rigid_exchange_kernels import Bodies, Contacts, mat66d, rigid_exchange_kernels, vec6d
+from plait.solver.model import Interval, Model
+from plait.solver.rigid.mobility import mobility
+from plait.solver.state import State
+
+# Nothing is shared out: one item does it all.
+WORK = 1
+
+
+def build(model: Model, state: State, matter: Matter, surfaces: NearSurfaces, real: type) -> RigidExchange:
+    return RigidExchange(model, state, matter, surfaces, real)
+
+
+class RigidExchange:
+    """An `Exchange` with rigid bodies, which within a substep give way as their joints and supports let them.
+
+    A body that nothing supports moves by what it is given, exactly as in an inelastic collision. One that lies on
+    something has in its motion what the grains gave it in the substep before, which its supports took up: it gives
+    way by the difference alone, so that a pile at rest on it stays at rest.
+
+    State array: granular/given_rigid: (body_count, 6) impulse and moment of the last substep.
+    """
+
+    def __init__(self, model: Model, state: State, matter: Matter, surfaces: NearSurfaces, real: type) -> None:
+        self._launcher, self._matter, self._surfaces = model.launcher, matter, surfaces
+        self._kernels, self._stage, self._scene = rigid_exchange_kernels(real), model.parts["rigid"], model.scene
+        count, device = len(model.scene.rigid_bodies), model.launcher.device
+        bodies = Bodies()
+        bodies.mobility = wp.zeros(count, dtype=mat66d, device=device)
+        bodies.given, bodies.expected = (wp.zeros(count, dtype=vec6d, device=device) for _ in range(2))
+        self._bodies, self._count, self.speed = bodies, 0, 0.0
+        state.arrays["granular/given_rigid"] = bodies.given
+
+    def begin_substep(self, substep: Interval) -> None:
+        self.speed = self._surfaces.speed("rigid")
+        near = {self._scene.surfaces[c.index].rigid for c in self._surfaces.near} - {None}
+        bodies, of_near = self._bodies, np.array(sorted(near), dtype=np.int64)
+        matrix, expected = np.zeros((len(bodies.mobility), 6, 6)), np.zeros((len(bodies.given), 6))
+        if len(of_near):
+            matrix[of_near], supported = mobility(self._stage, of_near)
+            expected[of_near] = np.where(supported[:, None], bodies.given.numpy()[of_near], 0.0)
+        bodies.mobility.assign(matrix)
+        bodies.expected.assign(expected)
+        bodies.given.zero_()
+
+    def find(self, since: float) -> None:
+        found = self._surfaces.carried("rigid")
+        body = np.array([self._scene.surfaces[s].rigid for s in found.surface], dtype=np.int64)
+        place = self._matter.grid.node_positions()[found.node]
+        values = {"node": found.node, "height": found.height, "normal": found.normal, "velocity": found.velocity}
+        values |= {"friction": found.friction, "body": body, "lever": place - self._stage.position.numpy()[body]}
+        contacts, device = Contacts(), self._launcher.device
+        for name, held in Contacts.vars.items():
+            setattr(contacts, name, wp.array(values[name], dtype=held.type.dtype, device=device))
+        self._contacts, self._count = contacts, len(found.node)
+
+    def act(self, since: float, part: float) -> None:
+        inputs = [self._contacts, self._count, self._bodies, since, part]
+        count = 1 if self._count else 0
+        self._launcher.launch(
+            self._kernels.exchange, count, inputs, [self._matter.grid.velocity], work_per_item=WORK
+        )
+
+    def end_substep(self) -> None:
+        given = self._bodies.given.numpy()
+        self._stage.impulse.assign(self._stage.impulse.numpy() + given[:, :3])
+        self._stage.angular_impulse.assign(self._stage.angular_impulse.numpy() + given[:, 3:])

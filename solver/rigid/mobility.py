@@ -1,0 +1,137 @@
+"""How rigid bodies give way to impulses of others within a substep, their joints and supports holding them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from plait.solver.rigid.quaternions import rotation_matrix
+
+if TYPE_CHECKING:
+    from plait.solver.rigid.stage import RigidStage
+
+# Of larger islands each body is taken with the others at rest: the problem grows with the island's size cubed.
+LARGEST_ISLAND = 32
+# Rows that are combinations of others but for rounding hold nothing more.
+DEPENDENT = 1e-9
+
+
+class Mobility(NamedTuple):
+    """matrix: (n, 6, 6) float64: velocity [m/s] and spin [1/s] by impulse [kg m/s] and moment [kg m2/s], about the
+        centre of mass, world.
+    supported: (n,) bool, whether something that pushes only, a contact or a joint's limit, holds the body too.
+    """
+
+    matrix: np.ndarray
+    supported: np.ndarray
+
+
+class _Row(NamedTuple):
+    """One speed that is held at zero: of each body that it concerns the six numbers it is made of."""
+
+    bodies: tuple[int, ...]
+    parts: tuple[np.ndarray, ...]
+    pushes: bool
+
+
+def mobility(stage: RigidStage, bodies: np.ndarray) -> Mobility:
+    """Of `bodies` (n,), where they are now.
+
+    With M the mass and J what joints, and contacts that bore a load in the last substep, hold (these as if they
+    could pull): M^-1 - M^-1 J^T (J M^-1 J^T)^-1 J M^-1. Friction holds nothing here.
+    """
+    rows = [*_joint_rows(stage), *_contact_rows(stage)]
+    islands = _islands(len(stage.bodies), rows)
+    roots = _inverse_mass_roots(stage)
+    matrix, supported = np.zeros((len(bodies), 6, 6)), np.zeros(len(bodies), dtype=bool)
+    for k, body in enumerate(bodies):
+        members = np.flatnonzero(islands == islands[body])
+        if len(members) > LARGEST_ISLAND:
+            members = np.array([body])
+        own = [row for row in rows if not set(members.tolist()).isdisjoint(row.bodies)]
+        matrix[k] = _constrained(roots, members, own, int(body))
+        supported[k] = any(row.pushes for row in own)
+    return Mobility(matrix, supported)
+
+
+def _constrained(roots: np.ndarray, members: np.ndarray, rows: list[_Row], body: int) -> np.ndarray:
+    """(6, 6) of one of an island's bodies. roots: (body_count, 6, 6) L with L L^T = M^-1."""
+    at = {int(b): 6 * i for i, b in enumerate(members)}
+    held = np.zeros((6 * len(members), len(rows)))
+    for column, row in enumerate(rows):
+        for b, part in zip(row.bodies, row.parts, strict=True):
+            if b in at:
+                held[at[b] : at[b] + 6, column] += roots[b].T @ part
+    block = slice(at[body], at[body] + 6)
+    free = np.eye(6)
+    if len(rows):
+        basis, size, _ = np.linalg.svd(held, full_matrices=False)
+        basis = basis[block, size > DEPENDENT * size[0]] if size[0] > 0.0 else basis[block, :0]
+        free = free - basis @ basis.T
+    return roots[body] @ free @ roots[body].T
+
+
+def _inverse_mass_roots(stage: RigidStage) -> np.ndarray:
+    rotation = np.array([rotation_matrix(q) for q in stage.orientation.numpy()])
+    roots = np.zeros((len(stage.bodies), 6, 6))
+    for b, body in enumerate(stage.bodies):
+        roots[b, :3, :3] = np.eye(3) / np.sqrt(body.mass)
+        roots[b, 3:, 3:] = rotation[b] @ np.linalg.cholesky(np.linalg.inv(body.inertia))
+    return roots
+
+
+def _islands(count: int, rows: list[_Row]) -> np.ndarray:
+    """(count,) the least body of each one's island."""
+    root = np.arange(count)
+    for row in rows:
+        joined = root[list(row.bodies)]
+        root[np.isin(root, joined)] = joined.min()
+    return root
+
+
+def _contact_rows(stage: RigidStage) -> Iterator[_Row]:
+    for bodies, levers, normal in stage.contact.loaded():
+        yield _row(bodies, levers, normal, True)
+
+
+def _row(bodies: tuple[int, int], levers: tuple[np.ndarray, np.ndarray], way: np.ndarray, pushes: bool) -> _Row:
+    """The speed along `way` of the first body's place against the second's; -1: no body."""
+    parts = [
+        (b, sign * np.concatenate([way, np.cross(lever, way)]))
+        for b, lever, sign in zip(bodies, levers, (1.0, -1.0), strict=True)
+        if b >= 0
+    ]
+    return _Row(tuple(b for b, _ in parts), tuple(part for _, part in parts), pushes)
+
+
+def _turn_row(bodies: tuple[int, int], axis: np.ndarray, pushes: bool = False) -> _Row:
+    parts = [(b, sign * np.append(np.zeros(3), axis)) for b, sign in zip(bodies, (1.0, -1.0), strict=True) if b >= 0]
+    return _Row(tuple(b for b, _ in parts), tuple(part for _, part in parts), pushes)
+
+
+def _joint_rows(stage: RigidStage) -> Iterator[_Row]:
+    position = stage.position.numpy()
+    rotation = [rotation_matrix(q) for q in stage.orientation.numpy()]
+    joints = stage.joints.joints
+    place, turn = joints.place.numpy(), joints.turn.numpy()
+    at_limit = joints.limit_impulse.numpy().any(axis=1)
+    limit_axis = joints.limit_axis.numpy()
+    for j, joint in enumerate(stage.joints.scene_joints):
+        bodies = tuple(-1 if b is None else b for b in joint.bodies)
+        a, b = bodies
+        anchor = place[2 * j + 1] if b < 0 else position[b] + rotation[b] @ place[2 * j + 1]
+        levers = tuple(anchor - position[k] if k >= 0 else np.zeros(3) for k in bodies)
+        frame = rotation_matrix(turn[2 * j])
+        x, y, z = (frame if a < 0 else rotation[a] @ frame).T
+        ways = (x, y) if joint.kind == "prismatic" else (x, y, z)
+        turns = {"fixed": (x, y, z), "prismatic": (x, y, z), "revolute": (x, y), "spherical": ()}[joint.kind]
+        for way in ways:
+            yield _row(bodies, levers, way, False)
+        for axis in turns:
+            yield _turn_row(bodies, axis)
+        if at_limit[j] and joint.kind == "prismatic":
+            yield _row(bodies, levers, limit_axis[j], True)
+        elif at_limit[j]:
+            yield _turn_row(bodies, limit_axis[j], True)
