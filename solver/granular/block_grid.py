@@ -24,6 +24,7 @@ class BlockGrid:
 
     data: struct `Blocks`.  block_count: of cells.  node_block_count: of nodes.
     tile: rows of nodes, TILE_NODES for each block: what its particles add up to, and room to work in.
+    tile_nodes: the same, (block_count * TILE_NODES,) vec4.
     node: (node_block_count * 64 or more,) vec4, momentum [kg m/s] and mass [kg].
     velocity: the same, velocity [m/s] and mass.  node_rows, velocity_rows: both seen as rows of nodes.
     """
@@ -45,13 +46,17 @@ class BlockGrid:
         self._lay_out(at, lower, np.append(first, count))
         for name in self._types.Particles.vars:
             self._reorder(getattr(particles, name), count)
-        self.tile = rows_of(self._take_room(self._types.vec4, self.block_count * TILE_NODES), self._types.row)
+        self.tile_nodes = self._take_room(self._types.vec4, self.block_count * TILE_NODES)
+        self.tile = rows_of(self.tile_nodes, self._types.row)
+
+    def node_cells(self, nodes: np.ndarray) -> np.ndarray:
+        """(n, 3) int [cells] where `nodes` (n,) of `node` are."""
+        block, local = np.divmod(nodes, BLOCK_NODES)
+        return self.data.node_origin.numpy()[block] + np.stack(np.unravel_index(local, (BLOCK,) * 3), axis=1)
 
     def node_positions(self) -> np.ndarray:
         """(node_block_count * 64, 3) float64 [m]."""
-        local = np.indices((BLOCK,) * 3).reshape(3, -1).T
-        nodes = self.data.node_origin.numpy()[: self.node_block_count, None] + local
-        return nodes.reshape(-1, 3) * self.cell_size
+        return self.node_cells(np.arange(self.node_block_count * BLOCK_NODES)) * self.cell_size
 
     def find_nodes(self, cells: np.ndarray) -> np.ndarray:
         """(n,) where in `node` the nodes at (n, 3) int [cells] are; -1 for those that no particle reaches."""

@@ -3,40 +3,23 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 
+from plait.solver.granular.exchange_kernels import Moment
 from plait.solver.granular.matter import Matter
 from plait.solver.granular.near_surfaces import NearSurfaces
 from plait.solver.model import Interval, Model
 from plait.solver.state import State
 
 if TYPE_CHECKING:
+    from plait.solver.granular.exchange import Exchange
     from plait.solver.scene import Surface
 
-
-class Exchange(Protocol):
-    """Momentum that passes between grains and one kind of what they meet, node by node (Han 2019 (46)-(50)).
-
-    Read with the friction impulse as one vector of opposite signs, which the printed (49) and (50) are not where
-    it sticks. What is met has moved already in this substep of the simulation; the grains then take many steps in
-    it. Within these it gives way as its mass lets it, and takes up what the grains gave it in its next substep.
-    """
-
-    speed: float  # [m/s] no part of what is met goes faster along an axis
-
-    def begin_substep(self, substep: Interval) -> None:
-        """Nothing has been given yet."""
-
-    def find(self, time: float) -> None:
-        """Takes up the nodes in contact, whenever particles have been sorted or the surfaces are others."""
-
-    def act(self, since: float, part: float) -> None:
-        """On `grid.velocity`, so long [s] after the substep's start, which is that part of it."""
-
-    def end_substep(self) -> None:
-        """Hands over what has been given."""
+# Passes over the contacts of a step that begins with what they bore in the last, and of one that does not know.
+PASSES, FIRST_PASSES = 4, 24
 
 
 class GrainContact:
@@ -64,7 +47,8 @@ class GrainContact:
             for name, needed in kinds
             if needed
         }
-        self._sorts = -1
+        self._moment = wp.array([Moment()], dtype=Moment, device=model.launcher.device)
+        self._sorts, self._past = -1, 0.0
 
     @property
     def speed(self) -> float:
@@ -73,14 +57,15 @@ class GrainContact:
 
     @property
     def impulse(self) -> dict[int, np.ndarray]:
-        """{index into Scene.surfaces: (3,) [kg m/s] on the grains since `begin_frame`}, of those no body carries."""
+        """{index into Scene.surfaces: (3,) [kg m/s] on the grains in this frame}, of those no body carries."""
         animated = self._exchanges.get("animated_exchange")
         return animated.impulse if animated is not None else {}
 
     def begin_frame(self) -> None:
-        animated = self._exchanges.get("animated_exchange")
-        if animated is not None:
-            animated.begin_frame()
+        """Forgets all that is not state, so that a run goes on from a frame's state as from its own."""
+        self._past = 0.0
+        for exchange in self._exchanges.values():
+            exchange.begin_frame()
 
     def begin_substep(self, substep: Interval, margin: float) -> None:
         """Takes up what is within `margin` [m] of the matter."""
@@ -90,17 +75,25 @@ class GrainContact:
         for exchange in self._exchanges.values():
             exchange.begin_substep(substep)
 
-    def act(self, time: float) -> None:
-        """On `grid.velocity`, in a step that starts at `time` [s]."""
+    def act(self, time: float, length: float) -> None:
+        """On `grid.velocity`, in a step from `time` [s] on of `length` [s]."""
+        if not self._exchanges:
+            return
         since = time - self._substep.start
         if self._sorts != self._matter.sorts:
             self._sorts = self._matter.sorts
             if self._surfaces is not None:
-                self._surfaces.find()
+                self._surfaces.find(since)
             for exchange in self._exchanges.values():
                 exchange.find(since)
+        moment = Moment()
+        moment.since, moment.length = since, length
+        moment.part = (since + length) / self._substep.length
+        moment.ratio = length / self._past if self._past > 0.0 else 0.0
+        self._moment.assign([moment])
         for exchange in self._exchanges.values():
-            exchange.act(since, since / self._substep.length)
+            exchange.act(self._moment, PASSES if self._past > 0.0 else FIRST_PASSES)
+        self._past = length
 
     def end_substep(self) -> None:
         for exchange in self._exchanges.values():

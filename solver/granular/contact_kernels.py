@@ -13,6 +13,7 @@ from plait.solver.contact.geometry_kernels import (
     unit_normal,
 )
 from plait.solver.contact.meeting_kernels import to_float
+from plait.solver.granular.exchange_kernels import Heights, Moment, touches
 from plait.solver.granular.types import BLOCK, BLOCK_NODES, granular_types
 
 wp.set_module_options({"enable_backward": False})
@@ -96,18 +97,20 @@ def contact_kernels(real: type) -> SimpleNamespace:
 
         first: wp.array(dtype=wp.int32)
         node: wp.array(dtype=wp.int32)
-        height: wp.array(dtype=real)  # [m] when found, less the distance that the surface keeps
-        normal: wp.array(dtype=vec3)  # unit, out of the surface
-        velocity: wp.array(dtype=vec3)  # [m/s] of the surface
         friction: wp.array(dtype=real)  # Coulomb coefficient
         impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] on the matter since found
 
     @wp.kernel(module=module, enable_backward=False)
-    def act(first: int, contacts: Contacts, since: real, velocity: wp.array(dtype=vec4)):
+    def act(
+        first: int,
+        contacts: Contacts,
+        heights: Heights,
+        moment: wp.array(dtype=Moment),
+        velocity: wp.array(dtype=vec4),
+    ):
         """Takes from a node what goes into a surface, and what friction stops; one node in contact an item.
 
-        Only a node behind the surface, and only while it goes further in: what goes out is let go freely. since:
-        [s] that the surfaces have moved.
+        Only where matter touches, and only while it goes further in: what goes out is let go freely.
         """
         i = first + wp.tid()
         node = contacts.node[i]
@@ -117,11 +120,11 @@ def contact_kernels(real: type) -> SimpleNamespace:
             before = vec3(held[0], held[1], held[2])
             v = before
             for k in range(contacts.first[i], contacts.first[i + 1]):
-                n = contacts.normal[k]
-                surface = contacts.velocity[k]
+                n = vec3(heights.normal[k])
+                surface = vec3(heights.velocity[k])
                 relative = v - surface
                 along = wp.dot(relative, n)
-                if contacts.height[k] - since * wp.dot(surface, n) <= real(0.0) and along < real(0.0):
+                if along < real(0.0) and touches(heights, k, moment[0].since):
                     across = relative - along * n
                     speed = wp.length(across)
                     stopped = -contacts.friction[k] * along

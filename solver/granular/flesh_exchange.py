@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from plait.solver.granular.exchange import Expectation
+from plait.solver.granular.exchange_kernels import follow_kernels
 from plait.solver.granular.flesh_exchange_kernels import Contacts, Nodes, Touched, flesh_exchange_kernels
+from plait.solver.granular.impulses import Memory
 from plait.solver.granular.matter import Matter
 from plait.solver.granular.near_surfaces import NearSurfaces
 from plait.solver.model import Interval, Model
@@ -22,23 +25,26 @@ def build(model: Model, state: State, matter: Matter, surfaces: NearSurfaces, re
 class FleshExchange:
     """An `Exchange` with elastic bodies, whose skins give way by the mass of the nodes about the contact.
 
-    A skin's motion has in it what the grains gave it in the substep before, and the stresses that took it up: it
+    What stresses took up of the last substep's impulses they are expected to take up again (`Expectation`): a skin
     gives way by the difference alone, so that a pile at rest on it stays at rest.
-
-    State array: granular/given_flesh: (node_count,) vec3d, impulses of the last substep.
     """
 
     def __init__(self, model: Model, state: State, matter: Matter, surfaces: NearSurfaces, real: type) -> None:
         self._launcher, self._matter, self._surfaces = model.launcher, matter, surfaces
+        self._follow = follow_kernels(real).follow
         self._kernels, self._tets = flesh_exchange_kernels(real), model.parts["tets"]
         layout, device = self._tets.layout, model.launcher.device
-        nodes = Nodes()
-        inverse_mass = np.where(layout.pinned, 0.0, 1.0 / layout.mass)
-        nodes.inverse_mass = wp.array(inverse_mass, dtype=wp.float64, device=device)
-        nodes.given, nodes.expected = (wp.zeros(layout.node_count, dtype=wp.vec3d, device=device) for _ in range(2))
-        state.arrays["granular/given_flesh"] = nodes.given
-        self._nodes, self._count, self.speed = nodes, 0, 0.0
+        inverse_mass = wp.array(np.where(layout.pinned, 0.0, 1.0 / layout.mass), dtype=wp.float64, device=device)
+        self._bears = bears = Expectation(inverse_mass, model.scene.gravity, self._launcher, state, "flesh")
+        self._nodes = Nodes()
+        self._nodes.inverse_mass, self._nodes.given, self._nodes.expected = (
+            inverse_mass,
+            bears.given,
+            bears.expected,
+        )
+        self.speed = 0.0
         self._hold_corners(surfaces)
+        self.begin_frame()
 
     def _hold_corners(self, surfaces: NearSurfaces) -> None:
         """Of each point of the colliders, if a body carries it, the four nodes of its tet and their weights."""
@@ -52,30 +58,32 @@ class FleshExchange:
                 self._corners[collider.points] = layout.skin_nodes(body)
                 self._weights[collider.points] = layout.bodies[body].embedding.barycentric
 
+    def begin_frame(self) -> None:
+        self._memory, self._count = Memory(), 0
+
     def begin_substep(self, substep: Interval) -> None:
         self.speed = self._surfaces.speed("flesh")
-        wp.copy(self._nodes.expected, self._nodes.given)
-        self._nodes.given.zero_()
+        self._bears.begin_substep(self._tets.velocity, substep.length)
 
     def find(self, since: float) -> None:
+        if self._count:
+            self._memory.keep(self._cells, self._on, self._contacts.impulse.numpy())
         found, device = self._surfaces.carried("flesh"), self._launcher.device
-        count = len(found.node)
+        self._count, self._on = len(found.node), found.surface
+        self._cells = self._matter.grid.node_cells(found.node)
         corners = self._triangles[found.triangle]
-        nodes = self._corners[corners].reshape(count, 12)
-        weights = (found.weights[:, :, None] * self._weights[corners]).reshape(count, 12)
+        nodes = self._corners[corners].reshape(-1, 12)
+        weights = (found.weights[:, :, None] * self._weights[corners]).reshape(-1, 12)
         grid_nodes, first = np.unique(found.node, return_index=True)
         touched, local = np.unique(nodes, return_inverse=True)
-        values = {"first": np.append(first, count), "node": grid_nodes, "of": found.node, "height": found.height}
-        values |= {"normal": found.normal, "velocity": found.velocity, "friction": found.friction}
-        values |= {"tet_node": local.reshape(count, 12), "weight": weights}
+        values = {"first": np.append(first, self._count), "node": grid_nodes, "of": found.node}
+        values |= {"friction": found.friction, "tet_node": local.reshape(-1, 12), "weight": weights}
+        values |= {"impulse": self._memory.recall(self._cells, self._on), "change": np.zeros((self._count, 3))}
         contacts = Contacts()
         for name, held in Contacts.vars.items():
             setattr(contacts, name, wp.array(values[name], dtype=held.type.dtype, device=device))
-        self._contacts, self._count, self._node_count = contacts, count, len(grid_nodes)
-        self._touched = self._lay_out_touched(touched, local.ravel(), weights.ravel())
-        self._touched_count = len(touched)
-        self._drawn = wp.zeros(len(touched), dtype=wp.float64, device=device)
-        self._impulse = wp.zeros(count, dtype=wp.vec3d, device=device)
+        self._contacts, self._touched = contacts, self._lay_out_touched(touched, local.ravel(), weights.ravel())
+        self._heights = found.heights(device)
 
     def _lay_out_touched(self, touched: np.ndarray, local: np.ndarray, weights: np.ndarray) -> Touched:
         order = np.argsort(local, kind="stable")
@@ -85,22 +93,29 @@ class FleshExchange:
         held.first = wp.array(first, dtype=wp.int32, device=device)
         held.contact = wp.array(order // 12, dtype=wp.int32, device=device)
         held.weight = wp.array(weights[order], dtype=wp.float64, device=device)
+        held.shares = wp.zeros(len(touched), dtype=wp.float64, device=device)
         return held
 
-    def act(self, since: float, part: float) -> None:
-        launch, velocity, touched = self._launcher.launch, self._matter.grid.velocity, self._touched
-        contacts, nodes = self._contacts, self._nodes
-        shares = [contacts, touched, since, velocity]
+    def act(self, moment: wp.array, passes: int) -> None:
+        contacts, touched, nodes, kernels = self._contacts, self._touched, self._nodes, self._kernels
+        heights = self._heights
+        velocity, prepare = self._matter.grid.velocity, self._launcher.prepare
+        grid_nodes, tet_nodes = len(contacts.node), len(touched.node)
+        collect = prepare(kernels.collect, tet_nodes, [contacts, touched, nodes], work_per_item=TOUCHED_WORK)
+        given = [contacts, heights, touched, nodes, moment, velocity]
+        exchange = prepare(kernels.exchange, grid_nodes, given, work_per_item=CONTACT_WORK)
+        launch = self._launcher.launch
+        launch(kernels.begin, grid_nodes, [contacts, heights, moment, velocity], work_per_item=CONTACT_WORK)
         launch(
-            self._kernels.count_shares, self._touched_count, shares, [self._drawn], work_per_item=TOUCHED_WORK
+            kernels.share, tet_nodes, [contacts, heights, touched, moment, velocity], work_per_item=TOUCHED_WORK
         )
-        given = [contacts, touched, nodes, self._drawn, since, part]
-        outputs = [velocity, self._impulse]
-        launch(self._kernels.exchange, self._node_count, given, outputs, work_per_item=CONTACT_WORK)
-        inputs = [touched, self._impulse]
-        launch(self._kernels.collect, self._touched_count, inputs, [nodes], work_per_item=TOUCHED_WORK)
+        collect()
+        for _ in range(passes):
+            exchange()
+            collect()
+        launch(self._follow, self._count, [heights, contacts.of, moment, velocity])
 
     def end_substep(self) -> None:
-        given = self._nodes.given.numpy()
+        given = self._bears.given.numpy()
         if given.any():
             self._tets.external_impulse.assign(self._tets.external_impulse.numpy() + given)

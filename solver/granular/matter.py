@@ -11,6 +11,7 @@ from plait.solver.granular.block_grid import BlockGrid
 from plait.solver.granular.energy_kernels import energy_kernels
 from plait.solver.granular.laws import LAWS
 from plait.solver.granular.material import set_material
+from plait.solver.granular.middle_kernels import middle_kernels
 from plait.solver.granular.transfer_kernels import LOST, transfer_kernels
 from plait.solver.granular.types import BLOCK_NODES, granular_types
 from plait.solver.launch import Launcher
@@ -109,6 +110,21 @@ class Matter:
         grid, launch = self.grid, self._launcher.launch
         inputs, work = [grid.node, self._step], NODE_WORK * BLOCK_NODES
         launch(self.kernels.to_velocities, grid.node_block_count, inputs, [grid.velocity], work_per_item=work)
+
+    def middles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of all nodes the masses (n,) [kg], and (n, 3) [m] from each to the middle of the matter that it carries.
+
+        After `to_velocities`: uses up `grid.node`.
+        """
+        grid, launch, kernel = self.grid, self._launcher.launch, middle_kernels(self._real).add_middles
+        inputs = [self.particles, grid.data, self.materials, self._step]
+        launch(kernel, grid.block_count, inputs, [grid.tile_nodes], work_per_item=self._work)
+        inputs = [grid.data, grid.tile]
+        work = NODE_WORK * BLOCK_NODES
+        launch(self.kernels.to_nodes, grid.node_block_count, inputs, [grid.node_rows], work_per_item=work)
+        held = grid.node.numpy()[: grid.node_block_count * BLOCK_NODES].astype(np.float64)
+        mass = held[:, 3]
+        return mass, np.divide(held[:, :3], mass[:, None], out=np.zeros((len(held), 3)), where=mass[:, None] > 0.0)
 
     def to_particles(self) -> bool:
         """Moves and deforms the particles; False where one is lost, no longer finite."""

@@ -9,6 +9,7 @@ import warp as wp
 
 from plait.solver.contact.bodies import rim_features
 from plait.solver.granular.contact_kernels import AT_SURFACE, MovingSurface, find_depths
+from plait.solver.granular.exchange_kernels import Heights
 from plait.solver.granular.matter import Matter
 from plait.solver.granular.types import BLOCK, BLOCK_NODES
 from plait.solver.kinematics.colliders import Collider
@@ -16,6 +17,8 @@ from plait.solver.model import Interval, Model
 
 # Nodes are looked at that are no further [cells] from a surface, on either side: so deep matter is still led out.
 REACH = 3.0
+# Nodes above a surface take part that are no further [cells] from it: the nearest always is among them.
+NEAREST = 0.5
 # Cost in units of `Launcher.launch`.
 QUERY_WORK = 60
 
@@ -25,7 +28,9 @@ class Found:
     """Nodes that may be behind a surface in the substep, ascending; entries for one node stand together.
 
     node: (n,) into the nodes of `BlockGrid`.  surface: (n,) into Scene.surfaces.
-    height: (n,) [m] above the surface at the substep's start, less the distance that it keeps.
+    height: (n,) [m] above the surface at the substep's start, less the distance that it keeps; where `by_matter`,
+        of the matter at the node now, above where it would lie at rest on the surface.
+    by_matter: (n,) bool.
     normal: (n, 3) unit, out of the surface.  velocity: (n, 3) [m/s] of the surface there.  friction: (n,).
     triangle: (n,) of `Colliders`, and weights: (n, 3), where on it the nearest point is.
     """
@@ -33,11 +38,18 @@ class Found:
     node: np.ndarray
     surface: np.ndarray
     height: np.ndarray
+    by_matter: np.ndarray
     normal: np.ndarray
     velocity: np.ndarray
     friction: np.ndarray
     triangle: np.ndarray
     weights: np.ndarray
+
+    def heights(self, device: wp.Device) -> Heights:
+        heights = Heights()
+        for name, held in Heights.vars.items():
+            setattr(heights, name, wp.array(getattr(self, name), dtype=held.type.dtype, device=device))
+        return heights
 
     def of(self, chosen: np.ndarray) -> Found:
         """The entries (n,) bool."""
@@ -86,9 +98,10 @@ class NearSurfaces:
         points, kinematics = self.kinematics.colliders.points, self.kinematics
         return [points[k][collider.points].numpy() for k in (kinematics.start, kinematics.end)]
 
-    def find(self) -> None:
-        """Fills `found` for this substep."""
-        every = [self._find_on(collider) for collider in self.near]
+    def find(self, since: float) -> None:
+        """Fills `found`, so long [s] after the substep's start."""
+        middles = self._matter.middles() if self.near else None
+        every = [self._find_on(collider, since, *middles) for collider in self.near]
         columns = [np.concatenate(x) for x in zip(*every, strict=True)] if every else _nothing()
         order = np.argsort(columns[0], kind="stable")
         self.found = Found(*(column[order] for column in columns))
@@ -99,33 +112,46 @@ class NearSurfaces:
         of_kind = [index for index, kind in kinds.items() if kind == by]
         return self.found.of(np.isin(self.found.surface, of_kind))
 
-    def _find_on(self, collider: Collider) -> tuple[np.ndarray, ...]:
-        """The columns of `Found` of one surface."""
+    def _find_on(
+        self, collider: Collider, since: float, mass: np.ndarray, middle: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """The columns of `Found` of one surface. mass, middle: see `Matter.middles`.
+
+        Of the nodes above it those up to half a cell away take part too, once the matter that they carry has come
+        down to where it would lie if it filled all above the surface. Else what rests on a surface between nodes
+        would sink until those behind it feel enough of its weight.
+        """
+        size = self._matter.grid.cell_size
+        node, height, normal, velocity, triangle, weights = self._measure(collider)
+        approach = np.einsum("na,na->n", velocity, normal)
+        # A node on the surface, but for rounding, is behind it.
+        height = height - collider.surface.thickness - float(AT_SURFACE) * size
+        now = height - since * approach
+        behind = height - self._substep.length * np.maximum(approach, 0.0) <= 0.0
+        above = ~behind & (now < NEAREST * size) & (mass[node] > 0.0)
+        of_matter = now + np.einsum("na,na->n", normal, middle[node]) - size * filled_height(now / size)
+        height = np.where(above, of_matter, height)
+        surface = np.full(len(node), collider.index)
+        columns = (node, surface, height, above, normal, velocity, self._friction[surface], triangle, weights)
+        return tuple(column[behind | above] for column in columns)
+
+    def _measure(self, collider: Collider) -> tuple[np.ndarray, ...]:
+        """Nodes near a surface, and of each what `find_depths` tells."""
         grid, device = self._matter.grid, self._launcher.device
-        reach, substep = REACH * grid.cell_size, self._substep
         ends = np.concatenate(self._ends(collider))
         origin = grid.data.node_origin.numpy()[: grid.node_block_count]
-        margin = reach + collider.surface.thickness
+        margin = REACH * grid.cell_size + collider.surface.thickness
         lower, upper = origin * grid.cell_size, (origin + BLOCK - 1) * grid.cell_size
         touched = (lower <= ends.max(axis=0) + margin) & (upper >= ends.min(axis=0) - margin)
         chosen = np.flatnonzero(touched.all(axis=1))
         count = len(chosen) * BLOCK_NODES
-        outputs = [
-            wp.zeros(count, dtype=dtype, device=device)
-            for dtype in (wp.float64, wp.vec3d, wp.vec3d, wp.int32, wp.vec3d)
-        ]
+        dtypes = (wp.float64, wp.vec3d, wp.vec3d, wp.int32, wp.vec3d)
+        outputs = [wp.zeros(count, dtype=dtype, device=device) for dtype in dtypes]
         inputs = [self._posed(collider), wp.array(chosen.astype(np.int32), dtype=wp.int32, device=device)]
         inputs += [grid.data.node_origin, grid.cell_size, margin]
         self._launcher.launch(find_depths, count, inputs, outputs, work_per_item=QUERY_WORK)
-        height, normal, velocity, triangle, weights = (x.numpy() for x in outputs)
         node = (chosen[:, None] * BLOCK_NODES + np.arange(BLOCK_NODES)).ravel()
-        # A node on the surface, but for rounding, is behind it.
-        above = height - collider.surface.thickness - float(AT_SURFACE) * grid.cell_size
-        least = above - substep.length * np.maximum(np.einsum("na,na->n", velocity, normal), 0.0)
-        kept = least <= 0.0
-        index = np.full(kept.sum(), collider.index)
-        told = (node[kept], index, above[kept], normal[kept], velocity[kept])
-        return *told, self._friction[index], triangle[kept], weights[kept]
+        return node, *(output.numpy() for output in outputs)
 
     def _find_rims(self) -> wp.array:
         """(triangle_count,) bits of the features of each triangle that lie on an open border."""
@@ -148,6 +174,16 @@ class NearSurfaces:
         return surface
 
 
+def filled_height(height: np.ndarray) -> np.ndarray:
+    """Of the matter that a node carries, (n,) [cells] above a plane, when it fills all above it evenly.
+
+    height: (n,) of the node, 0 to 1/2. With B the quadratic B-spline, h + int z B / int B over z > -h.
+    """
+    h = height
+    weight = 0.5 + 0.75 * h - h**3 / 3.0
+    return h + (13.0 / 64.0 - 0.375 * h**2 + 0.25 * h**4) / weight
+
+
 def _carrier(collider: Collider) -> str | None:
     if collider.surface.body is not None:
         return "flesh"
@@ -157,4 +193,4 @@ def _carrier(collider: Collider) -> str | None:
 def _nothing() -> list[np.ndarray]:
     """Columns of an empty `Found`."""
     index, number, vector = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3))
-    return [index, index, number, vector, vector, number, index, vector]
+    return [index, index, number, index.astype(bool), vector, vector, number, index, vector]

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from plait.solver.granular.exchange_kernels import follow_kernels
+from plait.solver.granular.impulses import Memory
 from plait.solver.granular.matter import Matter
 from plait.solver.granular.near_surfaces import NearSurfaces
 from plait.solver.granular.rigid_exchange_kernels import Bodies, Contacts, mat66d, rigid_exchange_kernels, vec6d
 from plait.solver.model import Interval, Model
 from plait.solver.rigid.mobility import mobility
 from plait.solver.state import State
-
-# Nothing is shared out: one item does it all.
-WORK = 1
 
 
 def build(model: Model, state: State, matter: Matter, surfaces: NearSurfaces, real: type) -> RigidExchange:
@@ -32,13 +31,18 @@ class RigidExchange:
 
     def __init__(self, model: Model, state: State, matter: Matter, surfaces: NearSurfaces, real: type) -> None:
         self._launcher, self._matter, self._surfaces = model.launcher, matter, surfaces
+        self._follow = follow_kernels(real).follow
         self._kernels, self._stage, self._scene = rigid_exchange_kernels(real), model.parts["rigid"], model.scene
         count, device = len(model.scene.rigid_bodies), model.launcher.device
         bodies = Bodies()
         bodies.mobility = wp.zeros(count, dtype=mat66d, device=device)
         bodies.given, bodies.expected = (wp.zeros(count, dtype=vec6d, device=device) for _ in range(2))
-        self._bodies, self._count, self.speed = bodies, 0, 0.0
+        self._bodies, self.speed = bodies, 0.0
         state.arrays["granular/given_rigid"] = bodies.given
+        self.begin_frame()
+
+    def begin_frame(self) -> None:
+        self._memory, self._count = Memory(), 0
 
     def begin_substep(self, substep: Interval) -> None:
         self.speed = self._surfaces.speed("rigid")
@@ -53,22 +57,24 @@ class RigidExchange:
         bodies.given.zero_()
 
     def find(self, since: float) -> None:
-        found = self._surfaces.carried("rigid")
+        if self._count:
+            self._memory.keep(self._cells, self._touched, self._contacts.impulse.numpy())
+        grid, found = self._matter.grid, self._surfaces.carried("rigid")
         body = np.array([self._scene.surfaces[s].rigid for s in found.surface], dtype=np.int64)
-        place = self._matter.grid.node_positions()[found.node]
-        values = {"node": found.node, "height": found.height, "normal": found.normal, "velocity": found.velocity}
-        values |= {"friction": found.friction, "body": body, "lever": place - self._stage.position.numpy()[body]}
+        self._cells, self._touched, self._count = grid.node_cells(found.node), found.surface, len(found.node)
+        values = {"node": found.node, "friction": found.friction, "body": body}
+        values["lever"] = self._cells * grid.cell_size - self._stage.position.numpy()[body]
+        values["impulse"] = self._memory.recall(self._cells, self._touched)
         contacts, device = Contacts(), self._launcher.device
         for name, held in Contacts.vars.items():
             setattr(contacts, name, wp.array(values[name], dtype=held.type.dtype, device=device))
-        self._contacts, self._count = contacts, len(found.node)
+        self._contacts, self._heights = contacts, found.heights(device)
 
-    def act(self, since: float, part: float) -> None:
-        inputs = [self._contacts, self._count, self._bodies, since, part]
-        count = 1 if self._count else 0
-        self._launcher.launch(
-            self._kernels.exchange, count, inputs, [self._matter.grid.velocity], work_per_item=WORK
-        )
+    def act(self, moment: wp.array, passes: int) -> None:
+        launch, velocity = self._launcher.launch, self._matter.grid.velocity
+        inputs = [self._contacts, self._heights, self._count, self._bodies, moment, passes, velocity]
+        launch(self._kernels.exchange, min(1, self._count), inputs)
+        launch(self._follow, self._count, [self._heights, self._contacts.node, moment, velocity])
 
     def end_substep(self) -> None:
         given = self._bodies.given.numpy()

@@ -5,9 +5,11 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from plait.solver.granular.exchange_kernels import ZERO, Heights, Moment, touches, within_cone
 from plait.solver.granular.types import granular_types
 
-ZERO = wp.constant(wp.float64(0.0))
+wp.set_module_options({"enable_backward": False})
+
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
 mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
 
@@ -17,12 +19,10 @@ class Contacts:
     """Nodes in contact, in ascending order."""
 
     node: wp.array(dtype=wp.int32)
-    height: wp.array(dtype=wp.float64)  # [m] above the surface at the substep's start
-    normal: wp.array(dtype=wp.vec3d)  # unit, out of the surface
-    velocity: wp.array(dtype=wp.vec3d)  # [m/s] of the surface
     friction: wp.array(dtype=wp.float64)
     body: wp.array(dtype=wp.int32)
     lever: wp.array(dtype=wp.vec3d)  # [m] from the body's centre of mass
+    impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] on the body, in a step
 
 
 @wp.struct
@@ -53,59 +53,76 @@ def rigid_exchange_kernels(real: type) -> SimpleNamespace:
     function = partial(wp.func, module=module)
 
     @function
-    def respond(bodies: Bodies, b: int, lever: wp.vec3d, impulse: wp.vec3d):
-        """[m/s] what an impulse changes of the velocity of the place it acts on."""
-        return velocity_at(bodies.mobility[b] * wrench(impulse, lever), lever)
+    def push(contacts: Contacts, bodies: Bodies, c: int, impulse: wp.vec3d, velocity: wp.array(dtype=vec4)):
+        """Gives an impulse to a contact's body, and its opposite to the node."""
+        if wp.dot(impulse, impulse) > ZERO:
+            b = contacts.body[c]
+            bodies.given[b] = bodies.given[b] + wrench(impulse, contacts.lever[c])
+            held = velocity[contacts.node[c]]
+            change = impulse / wp.float64(held[3])
+            velocity[contacts.node[c]] = held - vec4(real(change[0]), real(change[1]), real(change[2]), real(0.0))
 
     @function
-    def strike(contacts: Contacts, bodies: Bodies, c: int, since: wp.float64, part: wp.float64, mass: wp.float64,
-               v: wp.vec3d):  # fmt: skip
-        """[kg m/s] the impulse on a node's matter that goes into the body: inelastic, with Coulomb friction."""
-        n = contacts.normal[c]
-        surface = contacts.velocity[c]
-        if contacts.height[c] - since * wp.dot(surface, n) > ZERO:
-            return wp.vec3d()
+    def acts(contacts: Contacts, heights: Heights, c: int, since: wp.float64, velocity: wp.array(dtype=vec4)):
+        return touches(heights, c, since) and velocity[contacts.node[c]][3] > real(0.0)
+
+    @function
+    def respond(bodies: Bodies, b: int, lever: wp.vec3d, way: wp.vec3d):
+        """[1/kg] what a unit impulse along `way` changes of the velocity there along it."""
+        return wp.dot(way, velocity_at(bodies.mobility[b] * wrench(way, lever), lever))
+
+    @function
+    def strike(
+        contacts: Contacts,
+        heights: Heights,
+        bodies: Bodies,
+        c: int,
+        part: wp.float64,
+        velocity: wp.array(dtype=vec4),
+    ):
+        """One contact's impulse, given what all others have done."""
+        held = velocity[contacts.node[c]]
         b = contacts.body[c]
         lever = contacts.lever[c]
+        n = heights.normal[c]
+        v = wp.vec3d(wp.float64(held[0]), wp.float64(held[1]), wp.float64(held[2]))
         gives_way = velocity_at(bodies.mobility[b] * (bodies.given[b] - part * bodies.expected[b]), lever)
-        relative = v - surface - gives_way
+        relative = v - heights.velocity[c] - gives_way
+        inverse = wp.float64(1.0) / wp.float64(held[3])
         along = wp.dot(relative, n)
-        if along >= ZERO:
-            return wp.vec3d()
-        changed = n / mass + respond(bodies, b, lever, n)
-        normal = -along / wp.dot(n, changed)
-        relative += normal * changed
-        across = relative - wp.dot(relative, n) * n
+        wanted = contacts.impulse[c] + (along / (inverse + respond(bodies, b, lever, n))) * n
+        across = relative - along * n
         speed = wp.length(across)
-        if speed == ZERO:
-            return normal * n
-        way = across / speed
-        stopping = speed / (wp.float64(1.0) / mass + wp.dot(way, respond(bodies, b, lever, way)))
-        return normal * n - wp.min(contacts.friction[c] * normal, stopping) * way
+        if speed > ZERO:
+            way = across / speed
+            wanted += (speed / (inverse + respond(bodies, b, lever, way))) * way
+        impulse = within_cone(wanted, n, contacts.friction[c])
+        push(contacts, bodies, c, impulse - contacts.impulse[c], velocity)
+        contacts.impulse[c] = impulse
 
     @wp.kernel(module=module, enable_backward=False)
     def exchange(
         first: int,
         contacts: Contacts,
+        heights: Heights,
         count: int,
         bodies: Bodies,
-        since: wp.float64,
-        part: wp.float64,
+        moment_at: wp.array(dtype=Moment),
+        passes: int,
         velocity: wp.array(dtype=vec4),
     ):
         """All contacts one after the other, forwards and back, as each changes what the others meet. One item."""
-        for sweep in range(2):
+        moment = moment_at[0]
+        for c in range(count):
+            impulse = wp.vec3d()
+            if acts(contacts, heights, c, moment.since, velocity):
+                impulse = moment.ratio * contacts.impulse[c]
+            contacts.impulse[c] = impulse
+            push(contacts, bodies, c, impulse, velocity)
+        for sweep in range(passes):
             for k in range(count):
-                c = wp.where(sweep == 0, k, count - 1 - k)
-                held = velocity[contacts.node[c]]
-                if held[3] > real(0.0):
-                    mass = wp.float64(held[3])
-                    v = wp.vec3d(wp.float64(held[0]), wp.float64(held[1]), wp.float64(held[2]))
-                    impulse = strike(contacts, bodies, c, since, part, mass, v)
-                    if wp.dot(impulse, impulse) > ZERO:
-                        v += impulse / mass
-                        velocity[contacts.node[c]] = vec4(real(v[0]), real(v[1]), real(v[2]), held[3])
-                        b = contacts.body[c]
-                        bodies.given[b] = bodies.given[b] - wrench(impulse, contacts.lever[c])
+                c = wp.where(sweep % 2 == 0, k, count - 1 - k)
+                if acts(contacts, heights, c, moment.since, velocity):
+                    strike(contacts, heights, bodies, c, moment.part, velocity)
 
     return SimpleNamespace(exchange=exchange)

@@ -117,7 +117,7 @@ class GranularStage:
         matter = self.matter
         matter.to_grid(length)
         matter.to_velocities()
-        self.contact.act(time)
+        self.contact.act(time, length)
         if not matter.to_particles():
             raise Diverged("velocity", self._where_lost(), time + length)
         self._steps += 1

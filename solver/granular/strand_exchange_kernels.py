@@ -1,16 +1,16 @@
 """Nodes of granular matter against strands, which give way by the mass of their nodes."""
 
-from functools import cache
+from functools import cache, partial
 from types import SimpleNamespace
 
 import warp as wp
 
+from plait.solver.granular.exchange_kernels import ZERO, Moment, within_cone
 from plait.solver.granular.types import granular_types
 from plait.solver.grid.transfer_kernels import STENCIL, Grid, gradient_of, node_before, value_at
 
 wp.set_module_options({"enable_backward": False})
 
-ZERO = wp.constant(wp.float64(0.0))
 # Where the strands' mass rises by less than this part of itself over a cell, they are all around.
 EVEN = wp.constant(wp.float64(0.5))
 
@@ -36,6 +36,7 @@ class Meetings:
     of_grains: wp.array(dtype=wp.int32)
     normal: wp.array(dtype=wp.vec3d)  # unit, out of the strands; zero within them
     friction: wp.array(dtype=wp.float64)
+    impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] on the strands, in a step
 
 
 @wp.kernel
@@ -67,11 +68,13 @@ def find_normals(first: int, grid: Grid, strands: Strands, meetings: Meetings):
 
 
 @wp.kernel
-def present_velocities(first: int, strands: Strands, part: wp.float64, velocity_out: wp.array(dtype=wp.vec3d)):
+def present_velocities(
+    first: int, strands: Strands, moment: wp.array(dtype=Moment), velocity_out: wp.array(dtype=wp.vec3d)
+):
     """[m/s] of strands' nodes with what they have been given so far, beside what was expected."""
     k = first + wp.tid()
     p = strands.node[k]
-    change = strands.inverse_mass[p] * (strands.given[p] - part * strands.expected[p])
+    change = strands.inverse_mass[p] * (strands.given[p] - moment[0].part * strands.expected[p])
     velocity_out[k] = strands.velocity[p] + change
 
 
@@ -85,11 +88,48 @@ def collect(first: int, grid: Grid, strands: Strands, change: wp.array(dtype=wp.
 
 @cache
 def strand_exchange_kernels(real: type) -> SimpleNamespace:
-    """The kernel `exchange` for nodes of granular matter in `real` (wp.float32 or wp.float64)."""
+    """Kernels for nodes of granular matter in `real` (wp.float32 or wp.float64).
+
+    `begin` once a step, then `exchange` once a pass; `collect` after each.
+    """
     module = f"plait_granular_strand_exchange_{real.__name__}"
     vec4 = granular_types(real).vec4
+    kernel, function = partial(wp.kernel, module=module, enable_backward=False), partial(wp.func, module=module)
 
-    @wp.kernel(module=module, enable_backward=False)
+    @function
+    def give(
+        meetings: Meetings,
+        i: int,
+        change: wp.vec3d,
+        mass: wp.array(dtype=wp.float64),
+        velocity: wp.array(dtype=vec4),
+        change_out: wp.array(dtype=wp.vec3d),
+    ):
+        """An impulse [kg m/s] to the strands at a meeting, from the grains there."""
+        held = velocity[meetings.of_grains[i]]
+        lost = change / wp.float64(held[3])
+        velocity[meetings.of_grains[i]] = held - vec4(real(lost[0]), real(lost[1]), real(lost[2]), real(0.0))
+        change_out[meetings.of_strands[i]] = change / mass[meetings.of_strands[i]]
+
+    @kernel
+    def begin(
+        first: int,
+        meetings: Meetings,
+        moment: wp.array(dtype=Moment),
+        mass: wp.array(dtype=wp.float64),
+        velocity: wp.array(dtype=vec4),
+        change_out: wp.array(dtype=wp.vec3d),
+    ):
+        """Gives what meetings bore in the last step; one an item. change_out: [m/s] of the strands."""
+        i = first + wp.tid()
+        meetings.impulse[i] = moment[0].ratio * meetings.impulse[i]
+        change_out[meetings.of_strands[i]] = wp.vec3d()
+        if velocity[meetings.of_grains[i]][3] > real(0.0):
+            give(meetings, i, meetings.impulse[i], mass, velocity, change_out)
+        else:
+            meetings.impulse[i] = wp.vec3d()
+
+    @kernel
     def exchange(
         first: int,
         meetings: Meetings,
@@ -98,29 +138,19 @@ def strand_exchange_kernels(real: type) -> SimpleNamespace:
         velocity: wp.array(dtype=vec4),
         change_out: wp.array(dtype=wp.vec3d),
     ):
-        """Inelastic collisions with Coulomb friction; one meeting an item. change_out: [m/s] of the strands."""
+        """Towards inelastic collisions with Coulomb friction; one meeting an item. change_out: as of `begin`."""
         i = first + wp.tid()
         of_strands = meetings.of_strands[i]
-        node = meetings.of_grains[i]
-        held = velocity[node]
+        held = velocity[meetings.of_grains[i]]
         change_out[of_strands] = wp.vec3d()
         if held[3] > real(0.0):
             v = wp.vec3d(wp.float64(held[0]), wp.float64(held[1]), wp.float64(held[2]))
-            relative = v - strand_velocity[of_strands]
+            inverse = wp.float64(1.0) / wp.float64(held[3]) + wp.float64(1.0) / mass[of_strands]
+            impulse = meetings.impulse[i] + (v - strand_velocity[of_strands]) / inverse
             n = meetings.normal[i]
-            stopped = relative
             if wp.dot(n, n) > ZERO:
-                along = wp.min(wp.dot(relative, n), ZERO)
-                across = relative - wp.dot(relative, n) * n
-                most = -meetings.friction[i] * along
-                speed = wp.length(across)
-                if speed > most:
-                    across = (most / speed) * across
-                stopped = along * n + across
-            of_grains = wp.float64(held[3])
-            together = of_grains + mass[of_strands]
-            v -= (mass[of_strands] / together) * stopped
-            velocity[node] = vec4(real(v[0]), real(v[1]), real(v[2]), held[3])
-            change_out[of_strands] = (of_grains / together) * stopped
+                impulse = within_cone(impulse, n, meetings.friction[i])
+            give(meetings, i, impulse - meetings.impulse[i], mass, velocity, change_out)
+            meetings.impulse[i] = impulse
 
-    return SimpleNamespace(exchange=exchange)
+    return SimpleNamespace(begin=begin, exchange=exchange)

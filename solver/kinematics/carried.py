@@ -9,7 +9,7 @@ from plait.solver.state import State
 
 
 class CarriedStage:
-    """Lets the kinematics stage follow the bodies, where strands grow on them, or strands or grains may touch them."""
+    """Lets the kinematics stage follow the bodies, where strands grow on them or something may touch them."""
 
     name = "carried"
 

@@ -184,7 +184,7 @@ class RigidContact:
         self._found = False
 
     def loaded(self) -> Iterator[tuple[tuple[int, int], tuple[np.ndarray, np.ndarray], np.ndarray]]:
-        """Of each contact that bore a load in the last substep: bodies (-1: none), levers [m] and normal, world."""
+        """Of each contact that bore a load in the last substep bodies (-1: none), levers [m], normal; world."""
         counts, starts = self.contacts.count.numpy(), self.table.first_slot
         held = {name: getattr(self.contacts, name).numpy() for name in ("body", "lever_a", "lever_b", "normal")}
         impulse = self.contacts.impulse.numpy()

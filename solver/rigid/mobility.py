@@ -107,7 +107,9 @@ def _row(bodies: tuple[int, int], levers: tuple[np.ndarray, np.ndarray], way: np
 
 
 def _turn_row(bodies: tuple[int, int], axis: np.ndarray, pushes: bool = False) -> _Row:
-    parts = [(b, sign * np.append(np.zeros(3), axis)) for b, sign in zip(bodies, (1.0, -1.0), strict=True) if b >= 0]
+    parts = [
+        (b, sign * np.append(np.zeros(3), axis)) for b, sign in zip(bodies, (1.0, -1.0), strict=True) if b >= 0
+    ]
     return _Row(tuple(b for b, _ in parts), tuple(part for _, part in parts), pushes)
 
 

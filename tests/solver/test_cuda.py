@@ -16,7 +16,12 @@ import plait.solver
 from plait.solver.contact.obstacle_force_kernels import tet_kernels
 from plait.solver.granular.contact_kernels import contact_kernels
 from plait.solver.granular.energy_kernels import energy_kernels
+from plait.solver.granular.exchange_kernels import follow_kernels
+from plait.solver.granular.flesh_exchange_kernels import flesh_exchange_kernels
 from plait.solver.granular.laws import LAWS as GRANULAR_LAWS
+from plait.solver.granular.middle_kernels import middle_kernels
+from plait.solver.granular.rigid_exchange_kernels import rigid_exchange_kernels
+from plait.solver.granular.strand_exchange_kernels import strand_exchange_kernels
 from plait.solver.granular.transfer_kernels import transfer_kernels
 from plait.solver.linear.block_kernels import block_kernels
 from plait.solver.linear.coarse_kernels import coarse_kernels
@@ -42,7 +47,12 @@ MADE = (
     contact_kernels,
     damping_kernels,
     explicit_kernels,
+    flesh_exchange_kernels,
+    follow_kernels,
+    middle_kernels,
+    rigid_exchange_kernels,
     skin_kernels,
+    strand_exchange_kernels,
 )
 
 
