@@ -111,8 +111,8 @@ class Matter:
         inputs, work = [grid.node, self._step], NODE_WORK * BLOCK_NODES
         launch(self.kernels.to_velocities, grid.node_block_count, inputs, [grid.velocity], work_per_item=work)
 
-    def middles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of all nodes the masses (n,) [kg], and (n, 3) [m] from each to the middle of the matter that it carries.
+    def middles(self) -> np.ndarray:
+        """(node_count, 3) [m] from each node to the middle of the matter that it carries; not a number if none.
 
         After `to_velocities`: uses up `grid.node`.
         """
@@ -123,8 +123,8 @@ class Matter:
         work = NODE_WORK * BLOCK_NODES
         launch(self.kernels.to_nodes, grid.node_block_count, inputs, [grid.node_rows], work_per_item=work)
         held = grid.node.numpy()[: grid.node_block_count * BLOCK_NODES].astype(np.float64)
-        mass = held[:, 3]
-        return mass, np.divide(held[:, :3], mass[:, None], out=np.zeros((len(held), 3)), where=mass[:, None] > 0.0)
+        mass = held[:, 3:]
+        return np.divide(held[:, :3], mass, out=np.full((len(held), 3), np.nan), where=mass > 0.0)
 
     def to_particles(self) -> bool:
         """Moves and deforms the particles; False where one is lost, no longer finite."""

@@ -100,8 +100,8 @@ class NearSurfaces:
 
     def find(self, since: float) -> None:
         """Fills `found`, so long [s] after the substep's start."""
-        middles = self._matter.middles() if self.near else None
-        every = [self._find_on(collider, since, *middles) for collider in self.near]
+        self._middles: np.ndarray | None = None
+        every = [self._find_on(collider, since) for collider in self.near]
         columns = [np.concatenate(x) for x in zip(*every, strict=True)] if every else _nothing()
         order = np.argsort(columns[0], kind="stable")
         self.found = Found(*(column[order] for column in columns))
@@ -112,10 +112,8 @@ class NearSurfaces:
         of_kind = [index for index, kind in kinds.items() if kind == by]
         return self.found.of(np.isin(self.found.surface, of_kind))
 
-    def _find_on(
-        self, collider: Collider, since: float, mass: np.ndarray, middle: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
-        """The columns of `Found` of one surface. mass, middle: see `Matter.middles`.
+    def _find_on(self, collider: Collider, since: float) -> tuple[np.ndarray, ...]:
+        """The columns of `Found` of one surface.
 
         Of the nodes above it those up to half a cell away take part too, once the matter that they carry has come
         down to where it would lie if it filled all above the surface. Else what rests on a surface between nodes
@@ -128,12 +126,21 @@ class NearSurfaces:
         height = height - collider.surface.thickness - float(AT_SURFACE) * size
         now = height - since * approach
         behind = height - self._substep.length * np.maximum(approach, 0.0) <= 0.0
-        above = ~behind & (now < NEAREST * size) & (mass[node] > 0.0)
-        of_matter = now + np.einsum("na,na->n", normal, middle[node]) - size * filled_height(now / size)
-        height = np.where(above, of_matter, height)
+        above = np.flatnonzero(~behind & (now < NEAREST * size))
+        if len(above):
+            middle = np.einsum("na,na->n", normal[above], self._middle_of(node[above]))
+            height[above] = now[above] + middle - size * filled_height(now[above] / size)
+        by_matter = np.zeros(len(node), dtype=bool)
+        by_matter[above] = np.isfinite(height[above])
         surface = np.full(len(node), collider.index)
-        columns = (node, surface, height, above, normal, velocity, self._friction[surface], triangle, weights)
-        return tuple(column[behind | above] for column in columns)
+        columns = (node, surface, height, by_matter, normal, velocity, self._friction[surface], triangle, weights)
+        return tuple(column[behind | by_matter] for column in columns)
+
+    def _middle_of(self, nodes: np.ndarray) -> np.ndarray:
+        """(n, 3) [m] from each node to the middle of its matter; not a number where it has none."""
+        if self._middles is None:
+            self._middles = self._matter.middles()
+        return self._middles[nodes]
 
     def _measure(self, collider: Collider) -> tuple[np.ndarray, ...]:
         """Nodes near a surface, and of each what `find_depths` tells."""
