@@ -97,7 +97,7 @@ def compare(reference: Path, new: Path, tolerance: float = DEFAULT_TOLERANCE) ->
     At every time sample that both have: of the points, else of the transforms that move them.
     Different units are converted; different rates or up axes are a difference. Missing prims, different point or
     strand counts, different sample times and values that are not finite count as different at any tolerance; a
-    prim is compared up to the first such sample.
+    prim is compared up to the first such sample. Points that have ids are matched by them.
 
     Raises UsageError for a tolerance that is negative or not a number, InputError for a file that does not open or
     of which chunks, layers or references are missing.
@@ -173,6 +173,12 @@ class _Prim:
         with np.errstate(invalid="ignore"):
             return (local @ matrix[:3, :3] + matrix[3, :3]) * self._meters
 
+    def ids(self, code: Usd.TimeCode) -> np.ndarray | None:
+        """(n,) of Points, by which they are matched; None where there are none."""
+        points = UsdGeom.Points(self.prim)
+        held = points.GetIdsAttr().Get(code) if points else None
+        return np.array(held, np.int64) if held is not None and len(held) else None
+
     def strand_counts(self, code: Usd.TimeCode) -> tuple[int, ...] | None:
         """Points of each curve, or None for what is no curves."""
         if not self._curves:
@@ -239,6 +245,10 @@ def _compare_sample(
         return nothing, "other numbers of points on its curves", count
     if counts is not None and sum(counts) != count:
         return nothing, f"{count} points for curves of {sum(counts)}", count
+    order = _matching(reference.ids(code), new.ids(code), count)
+    if order is None:
+        return nothing, "other ids", count
+    found = found[order]
     for name, points in (("reference", expected), ("new", found)):
         if not np.isfinite(points).all():
             return nothing, f"points of the {name} are not finite", count
@@ -248,6 +258,14 @@ def _compare_sample(
     worst = int(np.argmax(distances))
     change = _length_change(expected, found, counts) if counts else 0.0
     return (float(distances[worst]), float(distances.mean()), worst, change), "", count
+
+
+def _matching(expected: np.ndarray | None, found: np.ndarray | None, count: int) -> np.ndarray | None:
+    """(count,) which of the new points each of the reference's is, by ids where both have them; None: no match."""
+    if expected is None or found is None or len(expected) != count or len(found) != count:
+        return np.arange(count)
+    order = np.argsort(found, kind="stable")[np.argsort(np.argsort(expected, kind="stable"), kind="stable")]
+    return order if np.array_equal(found[order], expected) else None
 
 
 def _length_change(expected: np.ndarray, found: np.ndarray, counts: tuple[int, ...]) -> float:

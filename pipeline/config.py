@@ -12,6 +12,9 @@ import msgspec
 from plait.pipeline.errors import InputError, UsageError
 from plait.solver.settings import Settings
 
+# The value of a parameter; three numbers of a vector.
+ParameterValue = float | str | bool | tuple[float, float, float]
+
 
 class OutputSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """[output]: what is written.
@@ -36,8 +39,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     preroll: Annotated[int, msgspec.Meta(ge=0)] = 24
     solver: Settings = Settings()
     output: OutputSettings = OutputSettings()
-    parameters: dict[str, float | str | bool] = {}
-    prim: dict[str, dict[str, float | str | bool]] = {}
+    parameters: dict[str, ParameterValue] = {}
+    prim: dict[str, dict[str, ParameterValue]] = {}
 
 
 def load(path: Path | None, assignments: list[str], flags: dict[str, Any] | None = None) -> Config:

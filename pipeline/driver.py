@@ -102,7 +102,7 @@ class _Run:
     def run(self, stop: StopRequest) -> int:
         """Everything from an empty or half-filled folder to the finished cache."""
         scene = self.shot.scene
-        if not (scene.strands or scene.bodies or scene.rigid_bodies):
+        if not (scene.strands or scene.bodies or scene.rigid_bodies or scene.granular):
             self.writer.open()
             name = self.shot.info.path.name
             self.progress.log(f"nothing to simulate in {name}; {self.output} shows it as it is")
@@ -194,6 +194,7 @@ class _Run:
     def _softer(self) -> list[str]:
         """What else may help against divergence."""
         kinds = {"stiffer or thicker strands": self.shot.scene.strands, "softer flesh": self.shot.scene.bodies}
+        kinds["softer grains"] = self.shot.scene.granular
         return [advice for advice, held in kinds.items() if held]
 
     def _seconds(self, code: float) -> float:

@@ -11,6 +11,7 @@ from typing import Any
 
 from plait.pipeline.config import Config
 from plait.pipeline.read import read_shot
+from plait.pipeline.read.roles import SIMULATED
 from plait.pipeline.shot import INTERPOLATED, PrimReport, Shot
 from plait.solver.build import FEATURES
 
@@ -59,6 +60,7 @@ def totals(shot: Shot) -> dict[str, int]:
         "bodies of flesh": len(scene.bodies),
         "rigid bodies": len(scene.rigid_bodies),
         "joints": len(scene.joints),
+        "grains": sum(count for prim in shot.prims for name, count in prim.sizes.items() if "grains" in name),
         "colliders": sum(surface.collides for surface in scene.surfaces),
         "collider triangles": sum(len(s.triangles) for s in scene.surfaces if s.collides),
         "moving colliders": sum(s.collides and s.motion.animated for s in scene.surfaces),
@@ -79,9 +81,7 @@ def _print(shot: Shot) -> None:
     width = max((len(prim.role) for prim in shot.prims), default=0)
     for prim in shot.prims:
         colour = (
-            {"strands": "green", INTERPOLATED: "green", "flesh": "green", "rigid": "green", "skipped": "dim"}.get(
-                prim.role, "cyan"
-            )
+            {"skipped": "dim", **dict.fromkeys((*SIMULATED, INTERPOLATED), "green")}.get(prim.role, "cyan")
             if prim.supported
             else "red"
         )

@@ -34,8 +34,8 @@ _NOT_COPIED = frozenset(
 class Sample:
     """What all simulated prims are at one time code.
 
-    values: (prim path, attribute name) -> (n, 3) float32, in the prim's own space and units; a
-        transform (4, 4) float64, row vectors.
+    values: (prim path, attribute name) -> an array as `VALUE_TYPES` asks for, e.g. (n, 3) float32, in the prim's
+        own space and units; a transform (4, 4) float64, row vectors.
     """
 
     code: float
@@ -161,6 +161,7 @@ def author_constants(layer: Sdf.Layer, targets: Iterable[Target], instances: Ite
         Sdf.CreatePrimInLayer(layer, path).SetInfo("instanceable", False)
     for target in targets:
         prim = Sdf.CreatePrimInLayer(layer, target.path)
+        _author_made(prim, target)
         if target.unbind:
             skeleton = Sdf.RelationshipSpec(prim, "skel:skeleton", custom=False)
             skeleton.targetPathList.ClearEditsAndMakeExplicit()
@@ -173,6 +174,24 @@ def author_constants(layer: Sdf.Layer, targets: Iterable[Target], instances: Ite
             order.default = Vt.TokenArray(target.operations)
         for name, value_type in target.blocked:
             Sdf.AttributeSpec(prim, name, value_type).default = Sdf.ValueBlock()
+
+
+def _author_made(prim: Sdf.PrimSpec, target: Target) -> None:
+    """The type, the material and the constants of a prim."""
+    if target.made:
+        prim.specifier, prim.typeName = Sdf.SpecifierDef, target.made
+    if target.material:
+        prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["MaterialBindingAPI"]))
+        bound = Sdf.RelationshipSpec(prim, "material:binding", custom=False)
+        bound.targetPathList.explicitItems = target.material
+    for held in target.constants:
+        variability = Sdf.VariabilityUniform if held.uniform else Sdf.VariabilityVarying
+        attribute = Sdf.AttributeSpec(prim, held.name, held.value_type, variability)
+        attribute.default = held.value
+        if held.interpolation:
+            attribute.SetInfo("interpolation", held.interpolation)
+    for name, interpolation in target.interpolations:
+        Sdf.AttributeSpec(prim, name, VALUE_TYPES[name]).SetInfo("interpolation", interpolation)
 
 
 def chunk_layer(samples: Iterable[Sample], rate: float) -> Sdf.Layer:
@@ -188,10 +207,22 @@ def set_sample(layer: Sdf.Layer, path: str, name: str, code: float, value: np.nd
     attribute = Sdf.Path(path).AppendProperty(name)
     if not layer.GetAttributeAtPath(attribute):
         Sdf.AttributeSpec(Sdf.CreatePrimInLayer(layer, path), name, VALUE_TYPES[name])
+    layer.SetTimeSample(attribute, code, _held(name, value))
+
+
+def _held(name: str, value: Any) -> Any:
+    """`value` as USD holds it."""
     if name == TRANSFORM:
-        layer.SetTimeSample(attribute, code, Gf.Matrix4d(np.asarray(value, np.float64)))
-    else:
-        layer.SetTimeSample(attribute, code, Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(value, np.float32)))
+        return Gf.Matrix4d(np.asarray(value, np.float64))
+    array, dtype = _ARRAYS.get(VALUE_TYPES[name], (Vt.Vec3fArray, np.float32))
+    return array.FromNumpy(np.ascontiguousarray(value, dtype)) if len(value) else array()
+
+
+_ARRAYS = {
+    Sdf.ValueTypeNames.Int64Array: (Vt.Int64Array, np.int64),
+    Sdf.ValueTypeNames.IntArray: (Vt.IntArray, np.int32),
+    Sdf.ValueTypeNames.FloatArray: (Vt.FloatArray, np.float32),
+}
 
 
 def read_samples(layer: Sdf.Layer, targets: Iterable[Target], codes: Iterable[float]) -> list[Sample]:

@@ -11,6 +11,8 @@ from plait.pipeline.normals import CarriedNormals
 from plait.pipeline.shot import (
     CurveOutput,
     CurvesNow,
+    GrainOutput,
+    GrainSurfaceOutput,
     MeshOutput,
     PrimFrame,
     PrimOutput,
@@ -34,7 +36,12 @@ class Outputs:
         Raises `Refused` for curves that follow guides and grow where they cannot.
         """
         self._strands, self._tets = parts.get("strands"), parts.get("tets")
-        self._rigid = parts.get("rigid")
+        self._rigid, self._grains = parts.get("rigid"), None
+        if shot.grains:
+            # Here, so that a shot without grains loads nothing for them.
+            from plait.pipeline.grains import GrainFrames
+
+            self._grains = GrainFrames(shot, parts["granular"])
         self._curves, self._meshes, self._props = shot.curves, shot.meshes, shot.props
         self._following = None
         followers = [output.followers for output in shot.curves if output.followers is not None]
@@ -66,7 +73,8 @@ class Outputs:
         shapes = zip(self._curves, self._now(time), strict=True)
         curves = [self._curve_frame(output, now, time) for output, now in shapes]
         meshes = [self._mesh_frame(output, time) for output in self._meshes]
-        return (*curves, *meshes, *(self._transform_frame(output, time) for output in self._props))
+        props = [self._transform_frame(output, time) for output in self._props]
+        return (*curves, *meshes, *props, *(self._grains.frames(time) if self._grains is not None else ()))
 
     def _now(self, time: float) -> list[CurvesNow]:
         """Every curves prim's strands, simulated or following, as they are at `time` [s]."""
@@ -100,7 +108,7 @@ class Outputs:
 
 
 def prim_frame(
-    output: PrimOutput,
+    output: PrimOutput | GrainOutput | GrainSurfaceOutput,
     points: np.ndarray,
     velocities: np.ndarray,
     time: float,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -222,12 +222,57 @@ class TransformOutput:
 
 
 @dataclass(frozen=True)
+class GrainOutput:
+    """How a `Granular` of the scene goes to a Points prim: that of the source, or one beside what is filled.
+
+    source_path: the prim of the source that has the role; it is `prim_path` where that is its own Points.
+    granular: index into `Scene.granular`.
+    world_to_local: as of `PrimOutput`.
+    law: 'sand' or 'snow'.
+    home: (3,) [m], scene world, near which grains start: where no grains at all have their bounds.
+    hidden: a surface about the grains is drawn in their place.
+    """
+
+    prim_path: str
+    source_path: str
+    granular: int
+    world_to_local: Callable[[float], np.ndarray]
+    law: str
+    home: np.ndarray
+    hidden: bool = False
+    point_count: None = field(default=None, init=False)
+
+
+@dataclass(frozen=True)
+class GrainSurfaceOutput:
+    """How a `Granular` of the scene goes to a new Mesh about its grains, beside the prim at `source_path`.
+
+    cell: [m] of the grid that the surface is found on.  volume: [m3] that each grain fills.
+    The rest as of `GrainOutput`.
+    """
+
+    prim_path: str
+    source_path: str
+    granular: int
+    world_to_local: Callable[[float], np.ndarray]
+    law: str
+    home: np.ndarray
+    cell: float
+    volume: float
+    point_count: None = field(default=None, init=False)
+
+
+@dataclass(frozen=True)
 class Embedded:
     """Authored points in tets. points: (n,).  nodes: (n, 4) corners.  barycentric: (n, 4), rows sum to one."""
 
     points: np.ndarray
     nodes: np.ndarray
     barycentric: np.ndarray
+
+
+# The way back of one prim. What a result adds has no prim of that path in the source.
+Output = PrimOutput | TransformOutput | GrainOutput | GrainSurfaceOutput
 
 
 @dataclass(frozen=True)
@@ -269,11 +314,12 @@ class Shot:
     layers: tuple[Path, ...] = ()
     meshes: tuple[MeshOutput, ...] = ()
     props: tuple[TransformOutput, ...] = ()
+    grains: tuple[GrainOutput | GrainSurfaceOutput, ...] = ()
 
     @property
-    def outputs(self) -> tuple[PrimOutput | TransformOutput, ...]:
-        """Every prim that the result overrides."""
-        return (*self.curves, *self.meshes, *self.props)
+    def outputs(self) -> tuple[Output, ...]:
+        """Every prim that the result overrides or adds."""
+        return (*self.curves, *self.meshes, *self.props, *self.grains)
 
 
 @dataclass(frozen=True)
@@ -282,6 +328,7 @@ class PrimFrame:
 
     points (n, 3) float32; velocities (n, 3) float32, per second; extent (2, 3) float32; normals (m, 3) float32,
     as many as authored, or None.
+    others: by attribute name, what only some prims have: ids and widths of grains, faces of their surface.
     """
 
     prim_path: str
@@ -289,6 +336,7 @@ class PrimFrame:
     velocities: np.ndarray
     extent: np.ndarray
     normals: np.ndarray | None = None
+    others: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
-from plait.pipeline.shot import PrimOutput, Shot, TransformOutput
+from plait.pipeline.shot import GrainOutput, GrainSurfaceOutput, Output, PrimOutput, Shot, TransformOutput
 
 # The one operation that places a rigid prim; those that its source has stay authored, and out of the order.
 TRANSFORM = "xformOp:transform:plait"
@@ -21,7 +22,22 @@ VALUE_TYPES = {
     "normals": Sdf.ValueTypeNames.Normal3fArray,
     "primvars:normals": Sdf.ValueTypeNames.Normal3fArray,
     TRANSFORM: Sdf.ValueTypeNames.Matrix4d,
+    "ids": Sdf.ValueTypeNames.Int64Array,
+    "widths": Sdf.ValueTypeNames.FloatArray,
+    "faceVertexCounts": Sdf.ValueTypeNames.IntArray,
+    "faceVertexIndices": Sdf.ValueTypeNames.IntArray,
 }
+
+
+@dataclass(frozen=True)
+class Constant:
+    """An attribute and its one value. interpolation: of a primvar."""
+
+    name: str
+    value_type: Sdf.ValueTypeName
+    value: Any
+    uniform: bool = False
+    interpolation: str = ""
 
 
 @dataclass(frozen=True)
@@ -33,6 +49,10 @@ class Target:
     unbind: the prim is skinned in the source; `add_binding_api`: it does not say so by an applied schema.
     blocked: attributes of the source that are no longer true, with their types.
     operations: the prim's `xformOpOrder`, where its transform is written; empty where it is not.
+    made: the type of a prim that the source does not have; empty for one that is overridden.
+    constants: attributes that hold one value at all times.
+    interpolations: of attributes that the clips give, by name.
+    material: what a made prim is bound to.
     """
 
     path: str
@@ -42,6 +62,10 @@ class Target:
     add_binding_api: bool = False
     blocked: tuple[tuple[str, Sdf.ValueTypeName], ...] = ()
     operations: tuple[str, ...] = ()
+    made: str = ""
+    constants: tuple[Constant, ...] = ()
+    interpolations: tuple[tuple[str, str], ...] = ()
+    material: tuple[str, ...] = ()
 
 
 def transform_target(prim: Usd.Prim, output: TransformOutput) -> Target:
@@ -72,6 +96,56 @@ def prim_target(prim: Usd.Prim, output: PrimOutput) -> Target:
     )
 
 
+INVISIBLE = Constant("visibility", Sdf.ValueTypeNames.Token, UsdGeom.Tokens.invisible)
+# What grains look like that no colour is authored for, linear.
+COLOURS = {"sand": (0.52, 0.38, 0.22), "snow": (0.86, 0.9, 0.95)}
+
+
+def grain_target(prim: Usd.Prim, output: GrainOutput | GrainSurfaceOutput) -> Target:
+    """What writing grains, or the surface about them, takes; `prim` is that of the source with the role."""
+    if isinstance(output, GrainSurfaceOutput):
+        attributes = ("points", "velocities", "extent", "normals", "faceVertexCounts", "faceVertexIndices")
+        scheme = Constant("subdivisionScheme", Sdf.ValueTypeNames.Token, UsdGeom.Tokens.none, uniform=True)
+        looks, interpolations = (scheme, *_looks(prim, output)), (("normals", "vertex"),)
+        return Target(output.prim_path, attributes, made="Mesh", constants=looks, interpolations=interpolations,
+                      material=_material(prim))  # fmt: skip
+    attributes, interpolations = ("points", "velocities", "extent", "ids", "widths"), (("widths", "vertex"),)
+    shown = (INVISIBLE,) if output.hidden else ()
+    if output.prim_path != output.source_path:
+        looks = (*shown, *_looks(prim, output))
+        return Target(output.prim_path, attributes, made="Points", constants=looks, interpolations=interpolations,
+                      material=_material(prim))  # fmt: skip
+    stale = ("accelerations", "normals", "primvars:normals", "primvars:widths", "primvars:widths:indices")
+    blocked = tuple((name, prim.GetAttribute(name).GetTypeName()) for name in stale if _authored(prim, name))
+    return Target(
+        output.prim_path,
+        attributes,
+        free_clip_set(prim),
+        blocked=blocked,
+        constants=shown,
+        interpolations=interpolations,
+    )
+
+
+def _looks(prim: Usd.Prim, output: GrainOutput | GrainSurfaceOutput) -> tuple[Constant, ...]:
+    """Colour and purpose of a prim that is made for `prim`: its own, a colour that varies as its mean."""
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
+    held = primvar.Get(Usd.TimeCode.EarliestTime()) if primvar and primvar.HasValue() else None
+    colour = np.array(held, dtype=np.float64).reshape(-1, 3).mean(axis=0) if held else COLOURS[output.law]
+    value = Vt.Vec3fArray([Gf.Vec3f(*map(float, colour))])
+    colours = Constant("primvars:displayColor", Sdf.ValueTypeNames.Color3fArray, value, interpolation="constant")
+    purpose = UsdGeom.Imageable(prim).ComputePurposeInfo()
+    if not purpose.isInheritable or purpose.purpose == UsdGeom.Tokens.default_:
+        return (colours,)
+    return colours, Constant("purpose", Sdf.ValueTypeNames.Token, purpose.purpose, uniform=True)
+
+
+def _material(prim: Usd.Prim) -> tuple[str, ...]:
+    """What is bound to `prim` itself; what is bound above it holds beside it too."""
+    bound = UsdShade.MaterialBindingAPI(prim).GetDirectBindingRel()
+    return tuple(map(str, bound.GetTargets())) if bound else ()
+
+
 def free_clip_set(prim: Usd.Prim) -> str:
     """'plait', or the first 'plait2', 'plait3', ... that `prim` has no clips under: a source may be a result."""
     taken = Usd.ClipsAPI(prim).GetClips() or {}
@@ -82,7 +156,7 @@ def free_clip_set(prim: Usd.Prim) -> str:
     return name
 
 
-def ancestor_targets(stage: Usd.Stage, outputs: Iterable[PrimOutput | TransformOutput]) -> tuple[Target, ...]:
+def ancestor_targets(stage: Usd.Stage, outputs: Iterable[Output]) -> tuple[Target, ...]:
     """Prims above the simulated ones whose authored bounds no longer hold.
 
     A SkelRoot's `extent` stands for all beneath it, so it is written anew; an `extentsHint` is only a shortcut,
@@ -116,34 +190,39 @@ class Overridden:
     """The part of the source stage that a result overrides.
 
     outputs, bounds: the simulated prims, and those above whose bounds are written anew or blocked.
-    instances: see `instances_above`.  counts: authored points of each simulated prim.
+    hidden: prims that others are drawn for.
+    instances: see `instances_above`.  counts: authored points of each simulated prim, None where they change.
     layers: files that these prims come from.
     """
 
     def __init__(self, shot: Shot) -> None:
         """Opens the stage with the simulated prims alone. Raises ValueError for a prim it does not have."""
         self.counts = {output.prim_path: output.point_count for output in shot.outputs}
-        mask = Usd.StagePopulationMask([Sdf.Path(path) for path in self.counts])
+        sources = {output.prim_path: getattr(output, "source_path", output.prim_path) for output in shot.outputs}
+        mask = Usd.StagePopulationMask([Sdf.Path(path) for path in sources.values()])
         self._stage = Usd.Stage.OpenMasked(str(shot.info.path), mask)
-        missing = [path for path in self.counts if not self._stage.GetPrimAtPath(path)]
+        missing = [path for path in sources.values() if not self._stage.GetPrimAtPath(path)]
         if missing:
             raise ValueError(f"{shot.info.path} has no prim {missing[0]}")
         self.root_layer = self._stage.GetRootLayer()
         self.outputs = tuple(
-            target(self._stage.GetPrimAtPath(output.prim_path), output)
+            target(self._stage.GetPrimAtPath(sources[output.prim_path]), output)
             for target, outputs in (
                 (prim_target, (*shot.curves, *shot.meshes)),
                 (transform_target, shot.props),
+                (grain_target, shot.grains),
             )
             for output in outputs
         )
+        replaced = dict.fromkeys(o.source_path for o in shot.grains if o.source_path not in self.counts)
+        self.hidden = tuple(Target(path, (), constants=(INVISIBLE,)) for path in replaced)
         self.bounds = ancestor_targets(self._stage, shot.outputs)
         self.instances = instances_above(self._stage, self.counts)
         self.layers = tuple(Path(layer.realPath) for layer in self._stage.GetUsedLayers() if layer.realPath)
 
     @property
     def targets(self) -> tuple[Target, ...]:
-        return (*self.outputs, *self.bounds)
+        return (*self.outputs, *self.hidden, *self.bounds)
 
     def bounds_above(self, code: float, extents: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """(2, 3) float32 `extent` of each SkelRoot above: its own at `code`, grown by `extents` of prims beneath.
@@ -161,8 +240,12 @@ class Overridden:
             from_world = transforms.GetLocalToWorldTransform(root).GetInverse()
             for path, extent in extents.items():
                 if Sdf.Path(path).HasPrefix(target.path):
-                    to_world = transforms.GetLocalToWorldTransform(self._stage.GetPrimAtPath(path))
+                    to_world = transforms.GetLocalToWorldTransform(self._holder(path))
                     own = Gf.Range3d(*(Gf.Vec3d(*map(float, corner)) for corner in extent))
                     box.UnionWith(Gf.BBox3d(own, to_world * from_world).ComputeAlignedRange())
             found[target.path] = np.array([box.GetMin(), box.GetMax()], np.float32)
         return found
+
+    def _holder(self, path: str) -> Usd.Prim:
+        """The prim in whose space that at `path` is: itself, or of one that is made the one above."""
+        return self._stage.GetPrimAtPath(path) or self._stage.GetPrimAtPath(Sdf.Path(path).GetParentPath())

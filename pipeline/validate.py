@@ -98,30 +98,46 @@ def skinned_prims(stage: Usd.Stage) -> set[str]:
     return skinned
 
 
+# What is looked at in every sample of a prim's points.
+_WATCHED = ("points", "velocities", "extent", "normals", "ids", "widths")
+
+
 def _sample_findings(prim: UsdGeom.PointBased) -> Iterator[Finding]:
     path, points = str(prim.GetPath()), prim.GetPointsAttr()
-    count, named = _expected_count(prim), _named_points(prim)
+    changing = _changes(prim)
+    count = None if changing else _expected_count(prim)
+    attributes = [found for found in map(prim.GetPrim().GetAttribute, _WATCHED) if found.HasAuthoredValue()]
     for code in points.GetTimeSamples():
         place = f"at frame {code:g}"
         values = {
-            attribute.GetName(): np.array(attribute.Get(code), np.float32)
-            for attribute in (points, prim.GetVelocitiesAttr(), prim.GetExtentAttr(), prim.GetNormalsAttr())
-            if attribute.HasAuthoredValue() and attribute.Get(code) is not None
+            attribute.GetName(): np.array(attribute.Get(code))
+            for attribute in attributes
+            if attribute.Get(code) is not None
         }
         for name, value in values.items():
             if not np.isfinite(value).all():
                 yield Finding("plait:NotFinite", f"{path}.{name}", f"has values that are not finite {place}")
-        sizes = {name: len(values[name]) for name in ("points", "velocities") if name in values}
-        count = sizes["points"] if count is None else count
+        each = ("points", "velocities", "ids", "widths") if changing else ("points", "velocities")
+        sizes = {name: len(values[name]) for name in each if name in values}
+        count = sizes["points"] if count is None or changing else count
         for name, size in sizes.items():
             if size != count:
                 yield Finding("plait:Count", f"{path}.{name}", f"has {size} values, not {count}, {place}")
+        named = _named_points(prim, code)
         if sizes["points"] < named:
             yield Finding(
                 "plait:Count", f"{path}.points", f"has {sizes['points']} values, faces use {named}, {place}"
             )
         if "extent" not in values or not _contains(values["extent"], values["points"], prim, code):
             yield Finding("plait:Extent", f"{path}.extent", f"does not hold all points {place}")
+
+
+def _changes(prim: UsdGeom.PointBased) -> bool:
+    """Whether the number of points may change: of grains, which are poured in, and of the surface about them."""
+    if prim.GetPrim().IsA(UsdGeom.Points):
+        return True
+    faces = UsdGeom.Mesh(prim)
+    return bool(faces) and faces.GetFaceVertexIndicesAttr().ValueMightBeTimeVarying()
 
 
 def _expected_count(prim: UsdGeom.PointBased) -> int | None:
@@ -131,12 +147,12 @@ def _expected_count(prim: UsdGeom.PointBased) -> int | None:
     return None if counts is None else int(sum(counts))
 
 
-def _named_points(prim: UsdGeom.PointBased) -> int:
+def _named_points(prim: UsdGeom.PointBased, code: float) -> int:
     """How many points the faces or tets of a mesh need at least."""
     names = {UsdGeom.Mesh: "faceVertexIndices", UsdGeom.TetMesh: "tetVertexIndices"}
     for schema, name in names.items():
         if prim.GetPrim().IsA(schema):
-            indices = np.array(prim.GetPrim().GetAttribute(name).Get(Usd.TimeCode.EarliestTime()) or [])
+            indices = np.array(prim.GetPrim().GetAttribute(name).Get(code) or [])
             return int(indices.max(initial=-1)) + 1
     return 0
 
@@ -144,10 +160,12 @@ def _named_points(prim: UsdGeom.PointBased) -> int:
 def _contains(extent: np.ndarray, points: np.ndarray, prim: UsdGeom.PointBased, code: float) -> bool:
     """Whether the points are inside, each widened by half its own width where widths are per point or constant."""
     half = np.zeros((1, 1), np.float32)
-    curves = UsdGeom.Curves(prim)
-    widths = curves.GetWidthsAttr().Get(code) if curves else None
+    widened = UsdGeom.Curves(prim) or UsdGeom.Points(prim)
+    widths = widened.GetWidthsAttr().Get(code) if widened else None
     if widths is not None and len(widths) in (1, len(points)):
         half = 0.5 * np.array(widths, np.float32)[:, None]
     slack = _ROUNDING * float(np.abs(extent).max())
+    if not len(points):
+        return True
     inside = (points - half >= extent[0] - slack) & (points + half <= extent[1] + slack)
     return bool(inside.all())

@@ -173,9 +173,10 @@ class CacheWriter:
                 values[target.path, TRANSFORM] = result.transform
                 continue
             held = {name: _array(result, name) for name in target.attributes}
-            for name, size in (("points", count), ("velocities", count), ("extent", 2)):
-                if held[name].shape != (size, 3):
-                    raise ValueError(f"sample {code}, <{target.path}> {name}: {held[name].shape}, not ({size}, 3)")
+            for name, size in _sizes(held, count).items():
+                if len(held[name]) != size:
+                    problem = f"{len(held[name])} values, not {size}"
+                    raise ValueError(f"sample {code}, <{target.path}> {name}: {problem}")
             values |= {(target.path, name): value for name, value in held.items()}
         extents = {path: value for (path, name), value in values.items() if name == "extent"}
         values |= {(path, "extent"): box for path, box in self._source.bounds_above(code, extents).items()}
@@ -276,15 +277,32 @@ class CacheWriter:
 
 
 def _array(result: PrimFrame, name: str) -> np.ndarray:
+    if name in result.others:
+        return result.others[name]
     value = getattr(result, name.removeprefix("primvars:"))
     if value is None:
         raise ValueError(f"<{result.prim_path}> has authored normals: they must be refreshed")
-    return np.asarray(value, np.float32)
+    value = np.asarray(value, np.float32)
+    if value.shape[1:] != (3,):
+        raise ValueError(f"<{result.prim_path}> {name}: {value.shape}, not (n, 3)")
+    return value
+
+
+def _sizes(held: Mapping[str, np.ndarray], count: int | None) -> dict[str, int]:
+    """How many values attributes must have. count: of points; None where it may change from sample to sample."""
+    count = len(held["points"]) if count is None else count
+    sizes = {"points": count, "velocities": count, "extent": 2}
+    if "ids" in held:
+        sizes |= {"ids": count, "widths": count}
+    if "faceVertexCounts" in held:
+        sizes |= {"normals": count, "faceVertexIndices": int(held["faceVertexCounts"].sum())}
+    return sizes
 
 
 def _refuse_non_finite(code: float, values: Mapping[tuple[str, str], np.ndarray]) -> None:
     for (path, name), value in values.items():
-        wrong = int(np.count_nonzero(~np.isfinite(value).all(axis=-1)))
+        fine = np.isfinite(value).all(axis=tuple(range(1, value.ndim)))
+        wrong = int(np.count_nonzero(~fine))
         if wrong:
             raise PlaitError(f"frame {code:g}: <{path}> {name}: {wrong} of {len(value)} are not finite")
 

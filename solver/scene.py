@@ -355,9 +355,11 @@ class Attachment:
 class Emitter:
     """Pours particles of a `Granular` in, at random places of a box, while it is on.
 
-    rate: [1/s] particles.  limit: particles in all.  seed: of the places, which depend on nothing else.
-    lower, upper: (3,) float64 [m], world, corners of the box.
-    velocity: (3,) float64 [m/s], world.  volume: [m3] of each.  width: [m] of each.
+    rate: [1/s] particles.  limit: particles in all.  seed: of the places in the box, which depend on nothing else.
+    lower, upper: (3,) float64 [m], corners of the box, in a space of its own.
+    velocity: (3,) float64 [m/s], out of the box, along its own axes.
+    motion: that space to world, one joint; what is poured in has its velocity too.
+    volume: [m3] of each.  width: [m] of each.
     """
 
     rate: float
@@ -369,6 +371,7 @@ class Emitter:
     width: float
     seed: int = 0
     switch: Switch = field(default_factory=AlwaysOn)
+    motion: Motion = field(default_factory=StaticMotion)
 
 
 @dataclass(frozen=True)
@@ -411,6 +414,7 @@ class Scene:
 
     gravity: (3,) float64 [m/s2], world.  origin: (3,) float64 [m]: shot world = scene world + origin.
     filtered: pairs of indices into `surfaces`, at least one carried by a rigid body, that do not touch each other.
+    granular_start: [s] until which granular matter stays as given, and none is poured in.
     """
 
     surfaces: tuple[Surface, ...] = ()
@@ -423,3 +427,4 @@ class Scene:
     joints: tuple[Joint, ...] = ()
     filtered: tuple[tuple[int, int], ...] = ()
     granular: tuple[Granular, ...] = ()
+    granular_start: float = -np.inf

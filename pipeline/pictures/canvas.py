@@ -14,7 +14,7 @@ from plait.pipeline.errors import PlaitError
 from plait.pipeline.pictures.colours import to_bytes
 from plait.pipeline.pictures.creases import Creased
 from plait.pipeline.pictures.curves import shade
-from plait.pipeline.pictures.drawables import Dots, Drawable, Lines, Shell
+from plait.pipeline.pictures.drawables import Changing, Dots, Drawable, Lines, Shell
 from plait.pipeline.pictures.framing import View
 
 FINER = 2  # drawn this much larger and averaged down: smooth edges, hair finer than a pixel
@@ -128,6 +128,8 @@ class _Shown:
             return
         if isinstance(self._drawable, Shell):
             self._update_shell(self._drawable, points, code)
+        elif isinstance(self._drawable, Changing):
+            self._update_changing(self._drawable, points, code)
         else:
             self._update_fibres(self._drawable, points, code, view, pixels_high)
 
@@ -138,6 +140,21 @@ class _Shown:
         elif shell.animated:
             self._mesh.points[:], self._mesh.point_data["Normals"][:] = self._creased.placed(points)
             self._mesh.Modified()
+
+    def _update_changing(self, shown: Changing, points: np.ndarray, code: float) -> None:
+        import pyvista
+
+        mesh = pyvista.PolyData.from_regular_faces(points.astype(np.float32), shown.triangles(code))
+        mesh.point_data["rgb"] = to_bytes(shown.point_colours(code))
+        mesh = mesh.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
+        if self._actor is not None:
+            self._mesh.copy_from(mesh)
+            return
+        self._mesh = mesh
+        self._actor = self._plotter.add_mesh(
+            mesh, scalars="rgb", rgb=True, render=False, reset_camera=False, **MATTER
+        )
+        self._actor.prop.interpolation = "Phong"
 
     def _add_shell(self, points: np.ndarray, normals: np.ndarray) -> tuple[Any, Any]:
         import pyvista
@@ -192,7 +209,9 @@ class _Shown:
 class _Shadow:
     """What surfaces and curves keep of the key light from a level ground: their outline along that light."""
 
-    def __init__(self, plotter: Any, drawable: Shell | Lines, ground: Shell, lights: Sequence[np.ndarray]) -> None:
+    def __init__(
+        self, plotter: Any, drawable: Shell | Changing | Lines, ground: Shell, lights: Sequence[np.ndarray]
+    ) -> None:
         self._plotter, self._drawable, self._to_light = plotter, drawable, lights[0]
         self._up, self._height = np.zeros(3), 0.0
         code = ground.source.start
@@ -226,6 +245,8 @@ class _Shadow:
         mesh.verts = np.zeros(0, np.int64)
         if isinstance(self._drawable, Shell):
             mesh.regular_faces = self._drawable.triangles
+        elif isinstance(self._drawable, Changing):
+            mesh.regular_faces = self._drawable.triangles(code)
         else:
             mesh.lines = _polylines(self._drawable.counts(code))
         if self._mesh is not None:

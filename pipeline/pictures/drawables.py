@@ -18,6 +18,7 @@ from plait.pipeline.read.motions import Placement, transform
 from plait.pipeline.read.skeletons import SkeletonBinding, Skeletons
 from plait.pipeline.read.source import PREDICATE, Source
 from plait.pipeline.read.surfaces import Bodies, Body
+from plait.pipeline.read.triangles import triangulate
 
 Points = Callable[[float], np.ndarray]
 
@@ -50,6 +51,28 @@ class Shell(Drawable):
     def corner_colours(self, code: float) -> np.ndarray:
         """(m, 3, 3) linear RGB."""
         return colours.of_corners(self.body, code)
+
+
+@dataclass(frozen=True)
+class Changing(Drawable):
+    """A mesh whose faces change from sample to sample: the surface about grains."""
+
+    def triangles(self, code: float) -> np.ndarray:
+        """(m, 3) int32 into `points`."""
+        mesh = UsdGeom.Mesh(self.prim)
+        counts, indices = (
+            np.array(attribute.Get(code) or [], np.int64)
+            for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
+        )
+        if len(indices) != counts.sum() or indices.max(initial=-1) >= len(self.points(code)):
+            raise self.source.error(f"do not fit its points at time code {code:g}", self.prim, "faceVertexIndices")
+        left_handed = mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
+        return triangulate(self.points(code), counts, indices, left_handed)[0]
+
+    def point_colours(self, code: float) -> np.ndarray:
+        """(n, 3) linear RGB."""
+        count = len(self.points(code))
+        return colours.of_points(self.prim, code, count, np.arange(count))
 
 
 @dataclass(frozen=True)
@@ -111,7 +134,9 @@ def _has_purpose(prim: Usd.Prim, simulated: bool) -> bool:
 
 
 def _drawable(source: Source, prim: Usd.Prim, bodies: Bodies, skeletons: Skeletons) -> Iterator[Drawable]:
-    if roles.is_solid(prim):
+    if prim.IsA(UsdGeom.Mesh) and UsdGeom.Mesh(prim).GetFaceVertexIndicesAttr().ValueMightBeTimeVarying():
+        yield Changing(source, prim, *_points_of(source, prim, None))
+    elif roles.is_solid(prim):
         body = bodies.get(prim)
         if body is not None:
             surface, rate = body.surface, source.units.time_codes_per_second

@@ -8,7 +8,7 @@ from typing import Literal
 
 from plait.pipeline.read.source import Source
 
-STRANDS, COLLIDER, FLESH, RIGID = "strands", "collider", "flesh", "rigid"
+STRANDS, COLLIDER, FLESH, RIGID, SAND, SNOW = "strands", "collider", "flesh", "rigid", "sand", "snow"
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,7 @@ class Parameter:
     kilograms, meters: powers of the stage's units in it (seconds are seconds everywhere).
     zero_means_unset: in the other names, as UsdPhysics has it, zero asks for the default.
     choices: words, one of which it is.  file: it is a path.  flag: it is true or false, and does not change.
+    vector: it is three numbers, each of a size in the range.
     painted: `primvars:plait:NAME` may give a value for each of these, and comes before one for all.
     """
 
@@ -43,6 +44,7 @@ class Parameter:
     choices: tuple[str, ...] = ()
     file: bool = False
     flag: bool = False
+    vector: bool = False
     painted: Literal["", "points", "curves"] = ""
 
     @property
@@ -53,6 +55,8 @@ class Parameter:
             return "a path"
         if self.flag:
             return "true or false"
+        if self.vector:
+            return f"three numbers, each up to {self.high:g} in size"
         return f"{'from' if self.low_allowed else 'above'} {self.low:g} to {self.high:g}"
 
     def stage_unit(self, source: Source) -> float:
@@ -192,6 +196,95 @@ PARAMETERS = (
         "attachStiffness", "N/m4", "spring to the animated place, a volume of flesh; over the density it is the "
         "square of the angular frequency at which flesh alone would swing about that place", roles=(FLESH,),
         default=0.0, low=0.0, high=1e15, low_allowed=True, kilograms=1, meters=-3, painted="points",
+    ),
+    Parameter(
+        "density", "kg/m3", "mass over volume of the sand with its pores", roles=(SAND,),
+        default=1600.0, low=0.01, high=1e6, low_allowed=True,
+        authored=("physics:density",), kilograms=1, meters=-3, zero_means_unset=True,
+    ),
+    Parameter(
+        "density", "kg/m3", "mass over volume of the snow with its pores; fresh 100, packed 400", roles=(SNOW,),
+        default=400.0, low=0.01, high=1e6, low_allowed=True,
+        authored=("physics:density",), kilograms=1, meters=-3, zero_means_unset=True,
+    ),
+    Parameter(
+        "youngsModulus", "Pa", "stiffness under pressure; its root sets how short steps must be", roles=(SAND,),
+        default=3.5e5, low=1.0, high=1e13, low_allowed=True,
+        authored=("physics:youngsModulus",), kilograms=1, meters=-1, zero_means_unset=True,
+    ),
+    Parameter(
+        "youngsModulus", "Pa", "stiffness before it hardens; its root sets how short steps must be",
+        roles=(SNOW,), default=1.4e5, low=1.0, high=1e13, low_allowed=True,
+        authored=("physics:youngsModulus",), kilograms=1, meters=-1, zero_means_unset=True,
+    ),
+    Parameter(
+        "poissonsRatio", "1", "sideways over lengthwise strain", roles=(SAND,),
+        default=0.3, low=0.0, high=0.495, low_allowed=True, authored=("physics:poissonsRatio",),
+    ),
+    Parameter(
+        "poissonsRatio", "1", "sideways over lengthwise strain", roles=(SNOW,),
+        default=0.2, low=0.0, high=0.495, low_allowed=True, authored=("physics:poissonsRatio",),
+    ),
+    Parameter(
+        "friction", "1", "Coulomb coefficient against what tells none of its own; the first prim that has any "
+        "grains says it for all", roles=(SAND, SNOW), default=0.5, low=0.0, high=100.0, low_allowed=True,
+        authored=("physics:staticFriction", "physics:dynamicFriction"),
+    ),
+    Parameter(
+        "frictionAngle", "degrees", "slope down which the sand flows", roles=(SAND,),
+        default=34.0, low=0.0, high=80.0, low_allowed=True,
+    ),
+    Parameter(
+        "criticalCompression", "1", "strain under pressure at which snow yields", roles=(SNOW,),
+        default=0.025, low=0.0, high=0.9,
+    ),
+    Parameter(
+        "criticalStretch", "1", "strain under tension at which snow breaks; larger holds together longer",
+        roles=(SNOW,), default=0.0075, low=0.0, high=0.9,
+    ),
+    Parameter(
+        "hardening", "1", "how fast snow stiffens as it is packed", roles=(SNOW,),
+        default=10.0, low=0.0, high=100.0, low_allowed=True,
+    ),
+    Parameter(
+        "spacing", "m", "distance between grains that fill a mesh or are poured in; its cube is the room of each",
+        roles=(SAND, SNOW), default_text="of meshes as grainBudget asks, alike in all; of emitters theirs, in a "
+        "shot without any so that the stream is as dense as at rest; of Points what lies between them",
+        low=0.0, high=1e3, meters=1,
+    ),
+    Parameter(
+        "grainBudget", "1", "how many grains fill a mesh, at most, where no spacing is given; the mesh that needs "
+        "the widest spacing decides for all", roles=(SAND, SNOW),
+        default=100000.0, low=1.0, high=1e9, low_allowed=True,
+    ),
+    Parameter(
+        "width", "m", "diameter that grains are drawn with; they act by their spacing", roles=(SAND, SNOW),
+        default_text="authored `widths`, else the spacing", low=0.0, high=1e3, meters=1,
+    ),
+    Parameter(
+        "velocity", "m/s", "along the prim's own axes, whatever its scale: of what an emitter pours, and at the "
+        "start of what fills a mesh, or of Points without `velocities`", roles=(SAND, SNOW),
+        default_text="0 0 0", high=1e4, low_allowed=True, meters=1, vector=True,
+    ),
+    Parameter(
+        "rate", "1/s", "grains poured in a second; makes a mesh or shape an emitter", roles=(SAND, SNOW),
+        default_text="none: no emitter", low=0.0, high=1e9,
+    ),
+    Parameter(
+        "limit", "1", "grains that an emitter pours at most", roles=(SAND, SNOW),
+        default_text="what its rate gives until the last frame", low=1.0, high=1e9, low_allowed=True,
+    ),
+    Parameter(
+        "seed", "1", "of the places of grains, a whole number", roles=(SAND, SNOW),
+        default=0.0, low=0.0, high=1e9, low_allowed=True,
+    ),
+    Parameter(
+        "surface", "", "a mesh about the grains is written, and drawn in their place", roles=(SAND, SNOW),
+        default=False, flag=True,
+    ),
+    Parameter(
+        "surfaceCell", "m", "size of the cells that the mesh is made in", roles=(SAND, SNOW),
+        default_text="1.5 spacing", low=0.0, high=1e3, meters=1,
     ),
 )  # fmt: skip
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdShade
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from plait.pipeline.config import Config
 from plait.pipeline.errors import UsageError
@@ -108,6 +108,9 @@ def _authored(source: Source, holder: Usd.Prim, parameter: Parameter) -> dict[st
         if parameter.flag:
             found[parameter.name] = _flag(source, attribute, value)
             continue
+        if parameter.vector:
+            found[parameter.name] = _vector(source, attribute, parameter, value)
+            continue
         if parameter.choices:
             if value not in parameter.choices:
                 raise source.error(f"is {value!r}", holder, name, f"author one of {', '.join(parameter.choices)}")
@@ -144,6 +147,23 @@ def _flag(source: Source, attribute: Usd.Attribute, value: object) -> bool:
         raise source.error(f"is {value!r}, not a bool", prim, name, "author true or false")
     _refuse_animated(source, attribute)
     return value
+
+
+def _vector(source: Source, attribute: Usd.Attribute, parameter: Parameter, value: object) -> np.ndarray:
+    """(3,)"""
+    prim, name = attribute.GetPrim(), attribute.GetName()
+    unit = parameter.stage_unit(source)
+    mend = f"author three numbers, each up to {parameter.high / unit:g} in size"
+    if not isinstance(value, Gf.Vec3f | Gf.Vec3d | Gf.Vec3h):
+        raise source.error(f"is {value!r}, not a vector", prim, name, mend)
+    vector = np.array(value, dtype=np.float64) * unit
+    if not _is_in_size(parameter, vector):
+        raise source.error(f"is {value}", prim, name, mend)
+    return vector
+
+
+def _is_in_size(parameter: Parameter, vector: np.ndarray) -> bool:
+    return vector.shape == (3,) and all(_in_range(parameter, abs(float(part))) for part in vector)
 
 
 def _refuse_animated(source: Source, attribute: Usd.Attribute) -> None:
@@ -232,6 +252,10 @@ def _configured(place: str, key: str, parameter: Parameter, value: Any) -> Any:
         if not isinstance(value, bool):
             raise UsageError(f"{place}.{key} is {value!r}; give true or false")
         return value
+    if parameter.vector:
+        if not isinstance(value, tuple) or not _is_in_size(parameter, np.array(value)):
+            raise UsageError(f"{place}.{key} is {value!r}; give {parameter.range_text} {parameter.unit}")
+        return np.array(value, dtype=np.float64)
     if isinstance(value, bool) or not isinstance(value, int | float) or not _in_range(parameter, value):
         raise UsageError(
             f"{place}.{key} is {value!r}; give a number {parameter.range_text} {parameter.unit}".rstrip()

@@ -19,8 +19,9 @@ APPLIED = {
     "PhysicsSurfaceDeformableSimAPI": "cloth",
 }
 # Roles whose physics does not exist yet. Their prims stay as authored, and strands collide with them as such.
-UNSUPPORTED = ("cloth", "sand", "snow", "enriched")
-SIMULATED = ("strands", "flesh", "rigid", *UNSUPPORTED)
+UNSUPPORTED = ("cloth", "enriched")
+GRANULAR = ("sand", "snow")
+SIMULATED = ("strands", "flesh", "rigid", *GRANULAR, *UNSUPPORTED)
 RIGID_BODY = "PhysicsRigidBodyAPI"
 PROP = "animated prop"
 SKIPPED = "skipped"
@@ -70,6 +71,11 @@ def applied_schemas(prim: Usd.Prim) -> set[str]:
 
 def is_solid(prim: Usd.Prim) -> bool:
     return prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.TetMesh) or shapes.is_shape(prim)
+
+
+def is_granular(prim: Usd.Prim) -> bool:
+    """Whether a prim of this type can be filled with grains, pour them, or is grains."""
+    return is_solid(prim) or prim.IsA(UsdGeom.Points)
 
 
 def has_collision(prim: Usd.Prim) -> bool:
@@ -152,6 +158,7 @@ class _Assignment:
             "cloth": prim.IsA(UsdGeom.Mesh),
             "collider": is_solid(prim),
             "rigid": is_solid(prim),
+            **dict.fromkeys(GRANULAR, is_granular(prim)),
         }.get(value, True)
         if not fits and holder == prim:
             raise self._source.error(
@@ -289,6 +296,17 @@ class _Assignment:
             reason = "" if massive else "has neither a collider nor a mass; apply PhysicsCollisionAPI to its shape"
         return replace(role, reason=reason, supported=not reason)
 
+    def _checked_granular(self, role: Role) -> Role:
+        prim = role.prim
+        if not is_granular(prim):
+            return replace(role, reason=f"a {prim.GetTypeName()} cannot be {role.role}", supported=False)
+        if prim.IsA(UsdGeom.Points) and not UsdGeom.Points(prim).GetPointsAttr().Get(self._source.start):
+            return replace(role, role=SKIPPED, reason="empty")
+        reason = self._why_unwritable(prim)
+        if not reason and _under_instancer(prim):
+            reason = "a prototype of a PointInstancer"
+        return replace(role, reason=reason, supported=not reason)
+
     def _parts_of(self, body: Usd.Prim) -> list[Role]:
         found = (self._authored.get(str(prim.GetPath())) for prim in Usd.PrimRange(body, PREDICATE))
         return [role for role in found if role is not None]
@@ -302,6 +320,8 @@ class _Assignment:
             return self._checked_flesh(role)
         if role.role == "rigid":
             return self._checked_rigid(role)
+        if role.role in GRANULAR:
+            return self._checked_granular(role)
         if role.role in UNSUPPORTED:
             return replace(role, reason=f"{role.role} is not simulated yet", supported=False)
         return role

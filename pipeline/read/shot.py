@@ -12,6 +12,7 @@ from plait.pipeline.config import Config
 from plait.pipeline.read import curves as drawn
 from plait.pipeline.read import parameters, roles, values
 from plait.pipeline.read.extents import Neighbourhood
+from plait.pipeline.read.grains import Heaps
 from plait.pipeline.read.gravity import read_gravity
 from plait.pipeline.read.groom import Groom
 from plait.pipeline.read.grooms import Assembly, read_grooms, tell_of_skipped
@@ -44,7 +45,7 @@ def read_shot(path: Path, config: Config, frames: tuple[float, float] | None = N
     diagnostics = UsdUtils.CoalescingDiagnosticDelegate()
     source = Source(Path(path), frames)
     try:
-        shot = _Reader(source, config, fill).shot()
+        shot = _Reader(source, config, frames, fill).shot()
     except Tf.ErrorException as error:
         raise source.error(f"USD cannot evaluate it: {error}", mend="check it with usdchecker") from error
     for diagnostic in diagnostics.TakeUncoalescedDiagnostics():
@@ -53,8 +54,9 @@ def read_shot(path: Path, config: Config, frames: tuple[float, float] | None = N
 
 
 class _Reader:
-    def __init__(self, source: Source, config: Config, fill: bool) -> None:
+    def __init__(self, source: Source, config: Config, frames: tuple[float, float] | None, fill: bool) -> None:
         self.source, self.config, self.fill = source, config, fill
+        self.frames = frames or (source.info.start, source.info.end)
         self.skeletons = Skeletons(source)
         self.bodies = Bodies(source, self.skeletons)
         self.roles = roles.assign(source, self.skeletons)
@@ -65,7 +67,8 @@ class _Reader:
         self.source.origin = self._origin(grooms)
         tissues = self._tissues()
         props = Props(self.source, self.bodies, self.roles, self.config)
-        surfaces, carrying = self._surfaces(grooms, tissues, props)
+        heaps = Heaps(self.source, self.bodies, self.skeletons, self.roles, self.config, self.frames, self.fill)
+        surfaces, carrying = self._surfaces(grooms, tissues, props, heaps)
         choose_leaders(self.source, grooms)
         assembly = Assembly(self.source, self.skeletons, grooms, surfaces)
         attachments = assembly.attachments(self.bodies, self.roles)
@@ -83,21 +86,35 @@ class _Reader:
             rigid_bodies=props.rigid_bodies(surfaces),
             joints=read_joints(self.source, self.roles, props),
             filtered=read_filtered(self.source, surfaces),
+            granular=heaps.granular,
+            granular_start=heaps.start,
         )
         tell_of_skipped(self.source, self.roles)
-        reports = tuple(self._report(role, carrying, grooms, tissues) for role in self.roles)
+        reports = tuple(self._report(role, carrying, grooms, tissues, heaps) for role in self.roles)
         meshes = (*(tissue.output for tissue in tissues.values()), *self._riders(tissues))
-        return Shot(self.source.info, scene, assembly.outputs(), reports, meshes=meshes, props=props.outputs())
+        return Shot(
+            self.source.info,
+            scene,
+            assembly.outputs(),
+            reports,
+            meshes=meshes,
+            props=props.outputs(),
+            grains=heaps.outputs,
+        )
 
     # --- strands ----------------------------------------------------------------------------------------------
 
     def _origin(self, grooms: list[Groom]) -> np.ndarray:
         """The middle of all that is simulated where it is drawn at the first frame, to the metre."""
         drawn_points = [(groom.role.prim, groom.curves.points) for groom in grooms]
-        for role in self._flesh_roles():
+        granular = [role for role in self.roles if role.role in roles.GRANULAR and role.supported]
+        based = [role for role in granular if role.prim.IsA(UsdGeom.PointBased)]
+        for role in (*self._flesh_roles(), *based):
             points = values.vectors(self.source, UsdGeom.PointBased(role.prim).GetPointsAttr())
             drawn_points += [(role.prim, points)] if len(points) else []
-        drawn_points += [(role.prim, np.zeros((1, 3))) for role in self.roles if role.body and role.supported]
+        placed = [role for role in self.roles if role.body and role.supported]
+        placed += [role for role in granular if role not in based]
+        drawn_points += [(role.prim, np.zeros((1, 3))) for role in placed]
         if not drawn_points:
             return np.zeros(3)
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -155,13 +172,13 @@ class _Reader:
     # --- surfaces ---------------------------------------------------------------------------------------------
 
     def _surfaces(
-        self, grooms: list[Groom], tissues: dict[str, Tissue], props: Props
+        self, grooms: list[Groom], tissues: dict[str, Tissue], props: Props, heaps: Heaps
     ) -> tuple[list[Surface], dict[str, list[str]]]:
         """All that is simulated collides with, or strands grow on; and which prims carry which grooms.
 
         None where nothing is simulated.
         """
-        if not (grooms or tissues or len(props)):
+        if not (grooms or tissues or len(props) or len(heaps)):
             return [], {}
         carrying: dict[str, list[str]] = {}
         hidden = []
@@ -246,7 +263,12 @@ class _Reader:
                 self.source.warn(f"prim.{pattern!r} of the configuration matches no prim")
 
     def _report(
-        self, role: Role, carrying: dict[str, list[str]], grooms: list[Groom], tissues: dict[str, Tissue]
+        self,
+        role: Role,
+        carrying: dict[str, list[str]],
+        grooms: list[Groom],
+        tissues: dict[str, Tissue],
+        heaps: Heaps,
     ) -> PrimReport:
         prim = role.prim
         path = str(prim.GetPath())
@@ -263,6 +285,9 @@ class _Reader:
             sizes = mesh_sizes(prim, self.source)
         if path in tissues:
             sizes |= tissues[path].sizes
+        sizes |= heaps.sizes.get(path, {})
+        told = heaps.told(path)
+        recognised += f"; {told}" if told else ""
         roots = groom.rooted.how if groom else ""
         if groom and groom.free.any():
             roots = f"{int(groom.free.sum())} of {len(groom.free)} strands are free; {roots}"

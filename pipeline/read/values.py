@@ -44,6 +44,13 @@ def check_count(source: Source, attribute: Usd.Attribute, code: float, found: np
         )
 
 
+def check_fits(source: Source, attribute: Usd.Attribute, found: np.ndarray, counts: tuple[int, ...]) -> None:
+    """Raises InputError unless `found`, of the attribute, has as many entries as one of `counts`."""
+    if len(found) not in counts:
+        problem = f"has {len(found)} entries, not {' or '.join(str(count) for count in dict.fromkeys(counts))}"
+        raise source.error(problem, attribute.GetPrim(), attribute.GetName(), "author one for each point")
+
+
 def check_sizes(
     source: Source, sizes: Usd.Attribute, counts: np.ndarray, entries: Usd.Attribute, count: int
 ) -> None:

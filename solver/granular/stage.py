@@ -90,6 +90,9 @@ class GranularStage:
 
     def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
         """Steps the matter to the substep's end; raises `Diverged` for what is no longer finite."""
+        substep = Interval(max(substep.start, self._model.scene.granular_start), substep.end)
+        if substep.length <= 0.0:
+            return True
         self._pour(substep)
         if not self.matter.count:
             return True

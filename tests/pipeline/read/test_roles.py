@@ -78,7 +78,7 @@ STRANDS = _apply("PhysicsCurvesDeformableSimAPI")
         ("", "", "skipped", True, False),
         ("", 'token plait:role = "collider"', "collider", True, True),
         ("", 'token plait:role = "flesh"', "flesh", True, True),
-        ("", 'token plait:role = "sand"', "sand", False, False),
+        ("", 'token plait:role = "enriched"', "enriched", False, False),
         (_apply("PhysicsCollisionAPI"), 'token plait:role = "none"', "skipped", True, False),
         (_apply("PhysicsVolumeDeformableSimAPI"), 'token plait:role = "collider"', "collider", True, True),
     ],
