@@ -414,7 +414,7 @@ class Scene:
 
     gravity: (3,) float64 [m/s2], world.  origin: (3,) float64 [m]: shot world = scene world + origin.
     filtered: pairs of indices into `surfaces`, at least one carried by a rigid body, that do not touch each other.
-    granular_start: [s] until which granular matter stays as given, and none is poured in.
+    granular_start: [s] until which granular matter stays as given, and none is poured in; to the nearest substep.
     """
 
     surfaces: tuple[Surface, ...] = ()

@@ -90,8 +90,7 @@ class GranularStage:
 
     def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
         """Steps the matter to the substep's end; raises `Diverged` for what is no longer finite."""
-        substep = Interval(max(substep.start, self._model.scene.granular_start), substep.end)
-        if substep.length <= 0.0:
+        if 0.5 * (substep.start + substep.end) < self._model.scene.granular_start:
             return True
         self._pour(substep)
         if not self.matter.count:
