@@ -6,6 +6,7 @@ one half is found in the cells it passes by VTK's marching cubes. Memory and tim
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,7 +116,9 @@ def _contour(nodes: _Nodes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     contour = vtkContour3DLinearGrid()
     contour.SetInputData(grid)
     contour.SetValue(0, LEVEL)
-    contour.SetMergePoints(True)
+    with warnings.catch_warnings():  # newer VTK merges them always, and says so
+        warnings.simplefilter("ignore", DeprecationWarning)
+        contour.SetMergePoints(True)
     contour.SetInterpolateAttributes(True)
     contour.SetSequentialProcessing(True)  # in one order, so that a run gives the same bits every time
     contour.SetOutputPointsPrecision(1)  # float64

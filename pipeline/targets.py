@@ -131,7 +131,9 @@ def _looks(prim: Usd.Prim, output: GrainOutput | GrainSurfaceOutput) -> tuple[Co
     """Colour and purpose of a prim that is made for `prim`: its own, a colour that varies as its mean."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
     held = primvar.Get(Usd.TimeCode.EarliestTime()) if primvar and primvar.HasValue() else None
-    colour = np.array(held, dtype=np.float64).reshape(-1, 3).mean(axis=0) if held else COLOURS[output.law]
+    colour = np.array(held, dtype=np.float64).reshape(len(held), -1).mean(axis=0) if held else np.zeros(0)
+    if colour.shape != (3,) or not np.isfinite(colour).all():
+        colour = COLOURS[output.law]
     value = Vt.Vec3fArray([Gf.Vec3f(*map(float, colour))])
     colours = Constant("primvars:displayColor", Sdf.ValueTypeNames.Color3fArray, value, interpolation="constant")
     purpose = UsdGeom.Imageable(prim).ComputePurposeInfo()
