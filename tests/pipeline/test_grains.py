@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +26,7 @@ from plait.pipeline.validate import validate
 RATE, FRAMES, SUBSTEPS = 24.0, 4, 8
 PILE, TAP, DUST = "/World/Set/Pile", "/World/Set/Tap", "/World/Set/Dust"
 HEAP, POURED, SURFACE = f"{PILE}_grains", f"{TAP}_grains", f"{PILE}_surface"
+FLAGS = ("--preroll", "2", "--substeps", str(SUBSTEPS), "--chunk", "2", "--threads", "1")
 SPACING = 2.0  # [cm] of the grains
 POUR = 590.0  # [1/s]
 
@@ -69,8 +72,7 @@ def write_shot(path: Path) -> Path:
 
 
 def _sim(shot: Path, out: Path, *more: str) -> int:
-    flags = ["--preroll", "2", "--substeps", str(SUBSTEPS), "--progress", "none", "--threads", "1"]
-    return main(["sim", str(shot), "-o", str(out), *flags, "--set", "output.chunk=2", *more])
+    return main(["sim", str(shot), "-o", str(out), *FLAGS, "--progress", "none", *more])
 
 
 def _values(path: Path, prim: str, name: str, code: float) -> np.ndarray:
@@ -84,6 +86,10 @@ def _world(path: Path, prim: str, code: float) -> np.ndarray:
     matrix = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(stage.GetPrimAtPath(prim)))
     points = np.array(stage.GetPrimAtPath(prim).GetAttribute("points").Get(code), np.float64)
     return 0.01 * (points @ matrix[:3, :3] + matrix[3, :3])
+
+
+def _chunks(out: Path) -> list[bytes]:
+    return [path.read_bytes() for path in sorted(out.with_suffix(".cache").glob("chunk.*"))]
 
 
 @pytest.fixture(scope="module")
@@ -254,14 +260,27 @@ def test_resumed_it_is_the_same_to_the_bit(result: tuple[Path, Path], monkeypatc
         patch.setattr(driver, "StopRequest", _StopsSoon)
         assert _sim(shot, again) == EXIT_STOPPED
     assert _sim(shot, again, "--resume") == EXIT_DONE
-    chunks = sorted(out.with_suffix(".cache").glob("chunk.*"))
-    assert len(chunks) == 2
-    for chunk in chunks:
-        assert (again.with_suffix(".cache") / chunk.name).read_bytes() == chunk.read_bytes()
+    assert len(_chunks(out)) == 2 and _chunks(again) == _chunks(out)
     metrics = json.loads(again.with_suffix(".metrics.json").read_text())
     assert metrics["frames"][-1]["granular"]["particles"] == sum(
         len(_values(out, path, "points", FRAMES)) for path in (HEAP, POURED, DUST)
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lines", [4, 6, 7])
+def test_killed_and_resumed_on_more_threads_it_is_the_same(result: tuple[Path, Path], lines: int) -> None:
+    """SIGKILL after so many lines of progress, of two legs of pre-roll and four frames."""
+    shot, out = result
+    again = out.with_name(f"killed{lines}.usda")
+    arguments = ["sim", str(shot), "-o", str(again), *FLAGS, "--progress", "openjd"]
+    command = [sys.executable, "-m", "plait.pipeline.cli", *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        for _ in range(lines):
+            process.stdout.readline()
+        process.kill()
+    assert _sim(shot, again, "--resume", "--threads", "2") == EXIT_DONE
+    assert _chunks(again) == _chunks(out)
 
 
 def test_frames_from_the_middle_are_those_of_the_whole_run(result: tuple[Path, Path]) -> None:
