@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plait.pipeline.errors import PlaitError
+
 # The part of the space that is filled where the surface is.
 LEVEL = 0.5
 # Nodes that a B-spline reaches, from that before the nearest; corners of a cell as VTK_HEXAHEDRON numbers them.
@@ -34,7 +36,8 @@ class GrainSurface:
 def surface_of(positions: np.ndarray, velocities: np.ndarray, volume: float, cell: float) -> GrainSurface:
     """The surface about grains at (n, 3) positions [m], each of which fills `volume` [m3], on cells of `cell` [m].
 
-    Grains that fly alone fill no half of any cell, and have no surface.
+    Grains that fly alone fill no half of any cell, and have no surface. Raises PlaitError for grains that lie
+    further apart than cells can be numbered.
     """
     none = np.zeros((0, 3))
     if not len(positions):
@@ -57,6 +60,9 @@ class _Nodes:
         """places: (n, 3) [cells], above 1.  part: of a cell, that each grain fills."""
         first = np.floor(places - 0.5).astype(np.int64)
         self.shape = first.max(axis=0) + 5
+        if np.prod(self.shape, dtype=object) > np.iinfo(np.int64).max:
+            wide = float(self.shape.max())
+            raise PlaitError(f"grains lie {wide:.3g} cells of their surface apart, too many to number")
         keys, of_grain = np.unique(self.key(first), return_inverse=True)
         reach = self.key(STENCIL)
         self.keys = np.unique(keys[:, None] + reach)

@@ -72,7 +72,8 @@ class Heaps:
         self._source, self._config = source, config
         rate = source.units.time_codes_per_second
         first = min(frames[0], source.info.start)
-        self.start, self._duration = first / rate, (frames[1] - first) / rate
+        last = frames[1] + max((0.0, *config.output.shutter))
+        self.start, self._duration = first / rate, (last - first) / rate
         chosen = [role for role in assigned if role.role in roles.GRANULAR and role.supported]
         self._heaps = [self._read(role, bodies, skeletons) for role in chosen]
         self._spacings = self._choose_spacings()
