@@ -38,7 +38,7 @@ def config_hash(config: Config) -> str:
 
 
 def describe(config: Config) -> dict[str, str | int]:
-    """What is written into the layer and the metrics. The solver draws no random numbers: its seed is 0."""
+    """What is written into the layer and the metrics. What is random, where grains lie, has seeds on its prims."""
     return {
         **{f"version:{name}": text for name, text in versions().items()},
         "configuration": config_hash(config),

@@ -6,9 +6,12 @@ one half is found in the cells it passes by VTK's marching cubes. Memory and tim
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
+
+from plait.pipeline.errors import PlaitError
 
 # The part of the space that is filled where the surface is.
 LEVEL = 0.5
@@ -33,7 +36,8 @@ class GrainSurface:
 def surface_of(positions: np.ndarray, velocities: np.ndarray, volume: float, cell: float) -> GrainSurface:
     """The surface about grains at (n, 3) positions [m], each of which fills `volume` [m3], on cells of `cell` [m].
 
-    Grains that fly alone fill no half of any cell, and have no surface.
+    Grains that fly alone fill no half of any cell, and have no surface. Raises PlaitError for grains that lie
+    further apart than cells can be numbered.
     """
     none = np.zeros((0, 3))
     if not len(positions):
@@ -56,6 +60,9 @@ class _Nodes:
         """places: (n, 3) [cells], above 1.  part: of a cell, that each grain fills."""
         first = np.floor(places - 0.5).astype(np.int64)
         self.shape = first.max(axis=0) + 5
+        if np.prod(self.shape, dtype=object) > np.iinfo(np.int64).max:
+            wide = float(self.shape.max())
+            raise PlaitError(f"grains lie {wide:.3g} cells of their surface apart, too many to number")
         keys, of_grain = np.unique(self.key(first), return_inverse=True)
         reach = self.key(STENCIL)
         self.keys = np.unique(keys[:, None] + reach)
@@ -115,7 +122,9 @@ def _contour(nodes: _Nodes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     contour = vtkContour3DLinearGrid()
     contour.SetInputData(grid)
     contour.SetValue(0, LEVEL)
-    contour.SetMergePoints(True)
+    with warnings.catch_warnings():  # newer VTK merges them always, and says so
+        warnings.simplefilter("ignore", DeprecationWarning)
+        contour.SetMergePoints(True)
     contour.SetInterpolateAttributes(True)
     contour.SetSequentialProcessing(True)  # in one order, so that a run gives the same bits every time
     contour.SetOutputPointsPrecision(1)  # float64

@@ -106,13 +106,13 @@ def grain_target(prim: Usd.Prim, output: GrainOutput | GrainSurfaceOutput) -> Ta
     if isinstance(output, GrainSurfaceOutput):
         attributes = ("points", "velocities", "extent", "normals", "faceVertexCounts", "faceVertexIndices")
         scheme = Constant("subdivisionScheme", Sdf.ValueTypeNames.Token, UsdGeom.Tokens.none, uniform=True)
-        looks, interpolations = (scheme, *_looks(prim, output)), (("normals", "vertex"),)
+        looks, interpolations = (scheme, _colour(prim, output)), (("normals", "vertex"),)
         return Target(output.prim_path, attributes, made="Mesh", constants=looks, interpolations=interpolations,
                       material=_material(prim))  # fmt: skip
     attributes, interpolations = ("points", "velocities", "extent", "ids", "widths"), (("widths", "vertex"),)
     shown = (INVISIBLE,) if output.hidden else ()
     if output.prim_path != output.source_path:
-        looks = (*shown, *_looks(prim, output))
+        looks = (*shown, _colour(prim, output))
         return Target(output.prim_path, attributes, made="Points", constants=looks, interpolations=interpolations,
                       material=_material(prim))  # fmt: skip
     stale = ("accelerations", "normals", "primvars:normals", "primvars:widths", "primvars:widths:indices")
@@ -127,17 +127,15 @@ def grain_target(prim: Usd.Prim, output: GrainOutput | GrainSurfaceOutput) -> Ta
     )
 
 
-def _looks(prim: Usd.Prim, output: GrainOutput | GrainSurfaceOutput) -> tuple[Constant, ...]:
-    """Colour and purpose of a prim that is made for `prim`: its own, a colour that varies as its mean."""
+def _colour(prim: Usd.Prim, output: GrainOutput | GrainSurfaceOutput) -> Constant:
+    """The colour of a prim that is made for `prim`: its own, one that varies as its mean."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
     held = primvar.Get(Usd.TimeCode.EarliestTime()) if primvar and primvar.HasValue() else None
-    colour = np.array(held, dtype=np.float64).reshape(-1, 3).mean(axis=0) if held else COLOURS[output.law]
+    colour = np.array(held, dtype=np.float64).reshape(len(held), -1).mean(axis=0) if held else np.zeros(0)
+    if colour.shape != (3,) or not np.isfinite(colour).all():
+        colour = COLOURS[output.law]
     value = Vt.Vec3fArray([Gf.Vec3f(*map(float, colour))])
-    colours = Constant("primvars:displayColor", Sdf.ValueTypeNames.Color3fArray, value, interpolation="constant")
-    purpose = UsdGeom.Imageable(prim).ComputePurposeInfo()
-    if not purpose.isInheritable or purpose.purpose == UsdGeom.Tokens.default_:
-        return (colours,)
-    return colours, Constant("purpose", Sdf.ValueTypeNames.Token, purpose.purpose, uniform=True)
+    return Constant("primvars:displayColor", Sdf.ValueTypeNames.Color3fArray, value, interpolation="constant")
 
 
 def _material(prim: Usd.Prim) -> tuple[str, ...]:

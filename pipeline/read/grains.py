@@ -10,7 +10,7 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from plait.pipeline.config import Config
-from plait.pipeline.read import parameters, roles
+from plait.pipeline.read import parameters, roles, values
 from plait.pipeline.read.emitters import Nozzle, read_nozzle
 from plait.pipeline.read.grain_points import Drawn, read_drawn
 from plait.pipeline.read.motions import WorldToLocal
@@ -72,7 +72,8 @@ class Heaps:
         self._source, self._config = source, config
         rate = source.units.time_codes_per_second
         first = min(frames[0], source.info.start)
-        self.start, self._duration = first / rate, (frames[1] - first) / rate
+        last = frames[1] + max((0.0, *config.output.shutter))
+        self.start, self._duration = first / rate, (last - first) / rate
         chosen = [role for role in assigned if role.role in roles.GRANULAR and role.supported]
         self._heaps = [self._read(role, bodies, skeletons) for role in chosen]
         self._spacings = self._choose_spacings()
@@ -222,6 +223,13 @@ class Heaps:
                 to_local, spacing = WorldToLocal(self._source, beside), self._spacings[heap.path]
                 cell = heap.given["surfaceCell"] or SURFACE_CELL * spacing
                 yield GrainSurfaceOutput(path, heap.path, index, to_local, law, home, cell, spacing**3)
+
+
+def middle_of(source: Source, prim: Usd.Prim) -> np.ndarray:
+    """(1, 3) [stage units], in its own space, of what is sand or snow: the median, which no stray grain moves."""
+    based = UsdGeom.PointBased(prim)
+    points = values.vectors(source, based.GetPointsAttr()) if based else np.zeros((0, 3))
+    return np.quantile(points, [0.5], axis=0, method="lower") if len(points) else np.zeros((1, 3))
 
 
 def _snow(given: Given) -> dict[str, float]:

@@ -56,7 +56,7 @@ class Parameter:
         if self.flag:
             return "true or false"
         if self.vector:
-            return f"three numbers, each up to {self.high:g} in size"
+            return f"three numbers, each from {-self.high:g} to {self.high:g}"
         return f"{'from' if self.low_allowed else 'above'} {self.low:g} to {self.high:g}"
 
     def stage_unit(self, source: Source) -> float:

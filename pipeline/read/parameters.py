@@ -153,7 +153,7 @@ def _vector(source: Source, attribute: Usd.Attribute, parameter: Parameter, valu
     """(3,)"""
     prim, name = attribute.GetPrim(), attribute.GetName()
     unit = parameter.stage_unit(source)
-    mend = f"author three numbers, each up to {parameter.high / unit:g} in size"
+    mend = f"author three numbers, each from {-parameter.high / unit:g} to {parameter.high / unit:g}"
     if not isinstance(value, Gf.Vec3f | Gf.Vec3d | Gf.Vec3h):
         raise source.error(f"is {value!r}, not a vector", prim, name, mend)
     vector = np.array(value, dtype=np.float64) * unit

@@ -12,7 +12,7 @@ from plait.pipeline.config import Config
 from plait.pipeline.read import curves as drawn
 from plait.pipeline.read import parameters, roles, values
 from plait.pipeline.read.extents import Neighbourhood
-from plait.pipeline.read.grains import Heaps
+from plait.pipeline.read.grains import Heaps, middle_of
 from plait.pipeline.read.gravity import read_gravity
 from plait.pipeline.read.groom import Groom
 from plait.pipeline.read.grooms import Assembly, read_grooms, tell_of_skipped
@@ -107,14 +107,15 @@ class _Reader:
     def _origin(self, grooms: list[Groom]) -> np.ndarray:
         """The middle of all that is simulated where it is drawn at the first frame, to the metre."""
         drawn_points = [(groom.role.prim, groom.curves.points) for groom in grooms]
-        granular = [role for role in self.roles if role.role in roles.GRANULAR and role.supported]
-        based = [role for role in granular if role.prim.IsA(UsdGeom.PointBased)]
-        for role in (*self._flesh_roles(), *based):
+        for role in self._flesh_roles():
             points = values.vectors(self.source, UsdGeom.PointBased(role.prim).GetPointsAttr())
             drawn_points += [(role.prim, points)] if len(points) else []
-        placed = [role for role in self.roles if role.body and role.supported]
-        placed += [role for role in granular if role not in based]
-        drawn_points += [(role.prim, np.zeros((1, 3))) for role in placed]
+        drawn_points += [(role.prim, np.zeros((1, 3))) for role in self.roles if role.body and role.supported]
+        drawn_points += [
+            (role.prim, middle_of(self.source, role.prim))
+            for role in self.roles
+            if role.role in roles.GRANULAR and role.supported
+        ]
         if not drawn_points:
             return np.zeros(3)
         low, high = np.full(3, np.inf), np.full(3, -np.inf)

@@ -21,18 +21,21 @@ def emitted(emitter: Emitter, poured: np.ndarray, substep: Interval) -> tuple[np
     random = np.random.default_rng([emitter.seed, int(poured[0])])
     age = substep.length * random.random((count, 1))
     places = np.asarray(emitter.lower) + random.random((count, 3)) * np.subtract(emitter.upper, emitter.lower)
-    places, velocities = _moved(emitter, places, substep)
     poured[:] = poured[0] + count, due - np.floor(due)
-    return places + age * velocities, velocities
-
-
-def _moved(emitter: Emitter, places: np.ndarray, substep: Interval) -> tuple[np.ndarray, np.ndarray]:
-    """Places in the box, (n, 3), as they are at the substep's end, and the velocities poured in with there."""
     end = emitter.motion.pose(substep.end).joint_transforms[0]
-    moved = places @ end[:3, :3].T + end[:3, 3]
     u, _, vt = np.linalg.svd(end[:3, :3])
-    velocities = np.broadcast_to((u @ vt) @ np.asarray(emitter.velocity, dtype=float), places.shape)
+    out = np.broadcast_to((u @ vt) @ np.asarray(emitter.velocity, dtype=float), places.shape)
+    # It has gone along with the box until it left it: against the box, it has flown out for its age.
+    return _placed(end, places) + age * out, out + _carried(emitter, places, substep)
+
+
+def _carried(emitter: Emitter, places: np.ndarray, substep: Interval) -> np.ndarray:
+    """(n, 3) [m/s] velocities of the box itself at places in it."""
     if not emitter.motion.animated:
-        return moved, velocities
-    start = emitter.motion.pose(substep.start).joint_transforms[0]
-    return moved, velocities + (moved - places @ start[:3, :3].T - start[:3, 3]) / substep.length
+        return np.zeros(places.shape)
+    start, end = (emitter.motion.pose(time).joint_transforms[0] for time in (substep.start, substep.end))
+    return (_placed(end, places) - _placed(start, places)) / substep.length
+
+
+def _placed(pose: np.ndarray, places: np.ndarray) -> np.ndarray:
+    return places @ pose[:3, :3].T + pose[:3, 3]

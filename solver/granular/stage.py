@@ -92,9 +92,13 @@ class GranularStage:
         """Steps the matter to the substep's end; raises `Diverged` for what is no longer finite."""
         if 0.5 * (substep.start + substep.end) < self._model.scene.granular_start:
             return True
+        if self.matter.count:
+            self._move(substep)
         self._pour(substep)
-        if not self.matter.count:
-            return True
+        self._tell()
+        return True
+
+    def _move(self, substep: Interval) -> None:
         if not self.matter.speed < LOST:
             raise Diverged("velocity", self._where_lost(), substep.start)
         self.contact.begin_substep(substep, self.matter.grid.cell_size + self.matter.speed * substep.length)
@@ -105,8 +109,6 @@ class GranularStage:
             self._advance(time, left / steps)
             time = time + left / steps if steps > 1 else substep.end
         self.contact.end_substep()
-        self._tell()
-        return True
 
     def _stable_length(self) -> float:
         """[s] by the matter, and by the surfaces it may be struck by."""

@@ -22,8 +22,8 @@ def _load(name: str) -> ModuleType:
     return module
 
 
-malformed, malformed_flesh = _load("malformed"), _load("malformed_flesh")
-CASES = (*malformed.CASES, *malformed_flesh.CASES)
+malformed, malformed_flesh, malformed_grains = map(_load, ("malformed", "malformed_flesh", "malformed_grains"))
+CASES = (*malformed.CASES, *malformed_flesh.CASES, *malformed_grains.CASES)
 
 
 def test_the_shot_that_is_spoilt_is_valid(tmp_path: Path) -> None:
@@ -39,6 +39,13 @@ def test_the_shot_of_flesh_that_is_spoilt_is_valid(tmp_path: Path) -> None:
     shot = read_shot(path, Config())
     assert shot.warnings == ()
     assert [body.name for body in shot.scene.bodies] == ["/Body/Arm", "/Body/Belly"]
+
+
+def test_the_shot_of_grains_that_is_spoilt_is_valid(tmp_path: Path) -> None:
+    path = malformed.Malformed("valid", (), valid=malformed_grains.VALID).write(tmp_path)
+    shot = read_shot(path, Config())
+    assert shot.warnings == ()
+    assert [granular.name for granular in shot.scene.granular] == ["/World/Pile", "/World/Tap", "/World/Drift"]
 
 
 def test_each_has_its_name() -> None:

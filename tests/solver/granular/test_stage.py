@@ -198,6 +198,43 @@ def test_pours_at_the_rate_told():
     assert run(simulation, 5)[-1]["particles"] == 64 + 300
 
 
+def test_pours_out_of_a_box_that_moves():
+    """Its places, its direction and its own velocity: a box turned by 90 degrees about y that moves at 2 m/s."""
+    turn = np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    keys = np.tile(turn, (2, 1, 1, 1))
+    keys[1, 0, :3, 3] = 0.0, 2.0, 0.0
+    emitter = replace(
+        poured_scene().granular[0].emitter,
+        motion=KeyedMotion(np.array([0.0, 1.0]), keys),
+        velocity=np.array([3.0, 0.0, 0.0]),
+    )
+    sand = replace(heap(np.zeros((0, 3))), emitter=emitter)
+    simulation = simulated(Scene(granular=(sand,), gravity=np.zeros(3)))
+    run(simulation, 1)
+    grains = simulation.model.parts["granular"].grains(0)
+    np.testing.assert_allclose(grains.velocities.mean(axis=0), [0.0, 2.0, -3.0], atol=1e-5)
+    # x of the box is -z of the world; it has risen, and they have flown on, for up to a frame.
+    lower, upper = grains.positions.min(axis=0), grains.positions.max(axis=0)
+    assert (lower > [-1e-6, 0.5, -0.2 - 3.0 * FRAME - 1e-6]).all()
+    assert (upper < [0.2 + 1e-6, 0.6 + 2.0 * FRAME + 1e-6, 1e-6]).all()
+
+
+def test_stays_as_given_until_it_starts():
+    """Neither does it fall nor is any poured in."""
+    scene = replace(poured_scene(), surfaces=())
+    late = simulated(replace(scene, granular_start=2.0 * FRAME))
+    run(late, 2)
+    stage = late.model.parts["granular"]
+    np.testing.assert_array_equal(
+        np.sort(stage.grains(0).positions, axis=0), np.sort(scene.granular[0].positions, axis=0)
+    )
+    run(late, 1)
+    assert len(stage.grains(0).positions) == 64 + int(2000 * FRAME)
+    fallen = (stage.grains(0).positions[:64] - scene.granular[0].positions)[:, 1]
+    # A first-order step, as long as a substep at most.
+    np.testing.assert_allclose(fallen, -0.5 * 9.81 * FRAME**2, atol=0.5 * 9.81 * FRAME * FRAME / 2 + 1e-6)
+
+
 def test_what_is_not_finite_is_told():
     velocities = np.zeros((216, 3))
     velocities[5] = np.inf
