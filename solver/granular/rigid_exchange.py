@@ -20,13 +20,14 @@ def build(model: Model, state: State, matter: Matter, surfaces: NearSurfaces, re
 
 
 class RigidExchange:
-    """An `Exchange` with rigid bodies, which within a substep give way as their joints and supports let them.
+    """An `Exchange` with rigid bodies, which within a substep give way as their joints let them.
 
-    A body that nothing supports moves by what it is given, exactly as in an inelastic collision. One that lies on
-    something has in its motion what the grains gave it in the substep before, which its supports took up: it gives
-    way by the difference alone, so that a pile at rest on it stays at rest.
+    What other forces took up of the last substep's impulses they are expected to take up again: those of what a
+    body lies on, which can push and not pull, are not known beforehand. So a free body moves by what it is given, as
+    in an inelastic collision, and a pile at rest on one that is supported stays at rest.
 
-    State array: granular/given_rigid: (body_count, 6) impulse and moment of the last substep.
+    State arrays: granular/given_rigid: (body_count, 6) impulse and moment of the last substep;
+    granular/momenta_rigid: (body_count, 6) momentum and angular momentum at the end of the substep before.
     """
 
     def __init__(self, model: Model, state: State, matter: Matter, surfaces: NearSurfaces, real: type) -> None:
@@ -38,7 +39,10 @@ class RigidExchange:
         bodies.mobility = wp.zeros(count, dtype=mat66d, device=device)
         bodies.given, bodies.expected = (wp.zeros(count, dtype=vec6d, device=device) for _ in range(2))
         self._bodies, self.speed = bodies, 0.0
+        self._momenta_before = wp.zeros((count, 6), dtype=wp.float64, device=device)
+        self._mass = np.array([body.mass for body in model.scene.rigid_bodies])
         state.arrays["granular/given_rigid"] = bodies.given
+        state.arrays["granular/momenta_rigid"] = self._momenta_before
         self.begin_frame()
 
     def begin_frame(self) -> None:
@@ -48,13 +52,28 @@ class RigidExchange:
         self.speed = self._surfaces.speed("rigid")
         near = {self._scene.surfaces[c.index].rigid for c in self._surfaces.near} - {None}
         bodies, of_near = self._bodies, np.array(sorted(near), dtype=np.int64)
-        matrix, expected = np.zeros((len(bodies.mobility), 6, 6)), np.zeros((len(bodies.given), 6))
-        if len(of_near):
-            matrix[of_near], supported = mobility(self._stage, of_near)
-            expected[of_near] = np.where(supported[:, None], bodies.given.numpy()[of_near], 0.0)
+        matrix, expected = np.zeros((len(self._mass), 6, 6)), np.zeros((len(self._mass), 6))
+        matrix[of_near] = mobility(self._stage, of_near, supports=False)
+        expected[of_near] = self._expect(matrix, substep.length)[of_near]
         bodies.mobility.assign(matrix)
         bodies.expected.assign(expected)
         bodies.given.zero_()
+
+    def _expect(self, matrix: np.ndarray, length: float) -> np.ndarray:
+        """(body_count, 6) what will be borne of impulses like those of the last substep; see `expect`.
+
+        Compared by what they would move, W the mobility: the part -R . W J / J . W J of J.
+        """
+        momentum = self._mass[:, None] * self._stage.velocity.numpy()
+        now = np.concatenate([momentum, self._stage.angular_momentum.numpy()], axis=1)
+        weight = length * self._mass[:, None] * np.append(self._scene.gravity, np.zeros(3))
+        given = self._bodies.given.numpy()
+        others = now - self._momenta_before.numpy() - weight - given
+        self._momenta_before.assign(now)
+        moves = np.einsum("nij,nj->ni", matrix, given)
+        energy, against = np.einsum("ni,ni->n", given, moves), -np.einsum("ni,ni->n", others, moves)
+        part = np.divide(against, energy, out=np.zeros(len(given)), where=energy > 0.0)
+        return np.clip(part, 0.0, 1.0)[:, None] * given
 
     def find(self, since: float) -> None:
         if self._count:

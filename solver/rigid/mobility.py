@@ -18,42 +18,31 @@ LARGEST_ISLAND = 32
 DEPENDENT = 1e-9
 
 
-class Mobility(NamedTuple):
-    """matrix: (n, 6, 6) float64: velocity [m/s] and spin [1/s] by impulse [kg m/s] and moment [kg m2/s], about the
-        centre of mass, world.
-    supported: (n,) bool, whether something that pushes only, a contact or a joint's limit, holds the body too.
-    """
-
-    matrix: np.ndarray
-    supported: np.ndarray
-
-
 class _Row(NamedTuple):
     """One speed that is held at zero: of each body that it concerns the six numbers it is made of."""
 
     bodies: tuple[int, ...]
     parts: tuple[np.ndarray, ...]
-    pushes: bool
 
 
-def mobility(stage: RigidStage, bodies: np.ndarray) -> Mobility:
-    """Of `bodies` (n,), where they are now.
+def mobility(stage: RigidStage, bodies: np.ndarray, *, supports: bool = True) -> np.ndarray:
+    """(n, 6, 6) of `bodies` (n,), where they are now: velocity [m/s] and spin [1/s] by impulse and moment.
 
-    With M the mass and J what joints, and contacts that bore a load in the last substep, hold (these as if they
-    could pull): M^-1 - M^-1 J^T (J M^-1 J^T)^-1 J M^-1. Friction holds nothing here.
+    World, about the centres of mass. With M the mass and J what joints hold, and with `supports` contacts and
+    limits that bore a load in the last substep, these as if they could pull:
+    M^-1 - M^-1 J^T (J M^-1 J^T)^-1 J M^-1. Friction holds nothing here.
     """
-    rows = [*_joint_rows(stage), *_contact_rows(stage)]
+    rows = [*_joint_rows(stage, supports), *(_contact_rows(stage) if supports else ())]
     islands = _islands(len(stage.bodies), rows)
     roots = _inverse_mass_roots(stage)
-    matrix, supported = np.zeros((len(bodies), 6, 6)), np.zeros(len(bodies), dtype=bool)
+    matrix = np.zeros((len(bodies), 6, 6))
     for k, body in enumerate(bodies):
         members = np.flatnonzero(islands == islands[body])
         if len(members) > LARGEST_ISLAND:
             members = np.array([body])
         own = [row for row in rows if not set(members.tolist()).isdisjoint(row.bodies)]
         matrix[k] = _constrained(roots, members, own, int(body))
-        supported[k] = any(row.pushes for row in own)
-    return Mobility(matrix, supported)
+    return matrix
 
 
 def _constrained(roots: np.ndarray, members: np.ndarray, rows: list[_Row], body: int) -> np.ndarray:
@@ -93,27 +82,27 @@ def _islands(count: int, rows: list[_Row]) -> np.ndarray:
 
 def _contact_rows(stage: RigidStage) -> Iterator[_Row]:
     for bodies, levers, normal in stage.contact.loaded():
-        yield _row(bodies, levers, normal, True)
+        yield _row(bodies, levers, normal)
 
 
-def _row(bodies: tuple[int, int], levers: tuple[np.ndarray, np.ndarray], way: np.ndarray, pushes: bool) -> _Row:
+def _row(bodies: tuple[int, int], levers: tuple[np.ndarray, np.ndarray], way: np.ndarray) -> _Row:
     """The speed along `way` of the first body's place against the second's; -1: no body."""
     parts = [
         (b, sign * np.concatenate([way, np.cross(lever, way)]))
         for b, lever, sign in zip(bodies, levers, (1.0, -1.0), strict=True)
         if b >= 0
     ]
-    return _Row(tuple(b for b, _ in parts), tuple(part for _, part in parts), pushes)
+    return _Row(tuple(b for b, _ in parts), tuple(part for _, part in parts))
 
 
-def _turn_row(bodies: tuple[int, int], axis: np.ndarray, pushes: bool = False) -> _Row:
+def _turn_row(bodies: tuple[int, int], axis: np.ndarray) -> _Row:
     parts = [
         (b, sign * np.append(np.zeros(3), axis)) for b, sign in zip(bodies, (1.0, -1.0), strict=True) if b >= 0
     ]
-    return _Row(tuple(b for b, _ in parts), tuple(part for _, part in parts), pushes)
+    return _Row(tuple(b for b, _ in parts), tuple(part for _, part in parts))
 
 
-def _joint_rows(stage: RigidStage) -> Iterator[_Row]:
+def _joint_rows(stage: RigidStage, limits: bool) -> Iterator[_Row]:
     position = stage.position.numpy()
     rotation = [rotation_matrix(q) for q in stage.orientation.numpy()]
     joints = stage.joints.joints
@@ -130,10 +119,10 @@ def _joint_rows(stage: RigidStage) -> Iterator[_Row]:
         ways = (x, y) if joint.kind == "prismatic" else (x, y, z)
         turns = {"fixed": (x, y, z), "prismatic": (x, y, z), "revolute": (x, y), "spherical": ()}[joint.kind]
         for way in ways:
-            yield _row(bodies, levers, way, False)
+            yield _row(bodies, levers, way)
         for axis in turns:
             yield _turn_row(bodies, axis)
-        if at_limit[j] and joint.kind == "prismatic":
-            yield _row(bodies, levers, limit_axis[j], True)
-        elif at_limit[j]:
-            yield _turn_row(bodies, limit_axis[j], True)
+        if limits and at_limit[j] and joint.kind == "prismatic":
+            yield _row(bodies, levers, limit_axis[j])
+        elif limits and at_limit[j]:
+            yield _turn_row(bodies, limit_axis[j])
