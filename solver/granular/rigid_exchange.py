@@ -23,8 +23,8 @@ class RigidExchange:
     """An `Exchange` with rigid bodies, which within a substep give way as their joints let them.
 
     What other forces took up of the last substep's impulses they are expected to take up again: those of what a
-    body lies on, which can push and not pull, are not known beforehand. So a free body moves by what it is given, as
-    in an inelastic collision, and a pile at rest on one that is supported stays at rest.
+    body lies on, which can push and not pull, are not known beforehand. So a free body moves by what it is given,
+    as in an inelastic collision, and a pile at rest on one that is supported stays at rest.
 
     State arrays: granular/given_rigid: (body_count, 6) impulse and moment of the last substep;
     granular/momenta_rigid: (body_count, 6) momentum and angular momentum at the end of the substep before.
