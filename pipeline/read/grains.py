@@ -23,8 +23,9 @@ from plait.pipeline.read.surfaces import Bodies
 from plait.pipeline.shot import GrainOutput, GrainSurfaceOutput
 from plait.solver.scene import Granular
 
-# [bytes] that a grain takes at most, its share of the grid and of what is written included.
-BYTES = 500
+# [bytes] that a grain takes while it is simulated and surfaced, and in a sample until its chunk is written: held
+# once as arrays and once as a layer.
+BYTES, SAMPLE_BYTES = 500, 72
 # A surface's cell and the spacing it goes with.
 SURFACE_CELL = 1.5
 # Grains of one shot lie on one grid: that fits spacings which differ by no more than this.
@@ -156,7 +157,9 @@ class Heaps:
         """Raises InputError for more grains than memory can hold."""
         if not self._heaps:
             return
-        room = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / BYTES
+        samples = self._config.output.chunk * len({0.0, *self._config.output.shutter})
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        room = memory / (BYTES + SAMPLE_BYTES * samples)
         total = sum(sum(sizes.values()) for sizes in self.sizes.values())
         heap = max(self._heaps, key=lambda heap: sum(self.sizes[heap.path].values()))
         if total > room:
@@ -165,7 +168,7 @@ class Heaps:
                 f"{total:.3g} grains do not fit into memory, in which {room:.2g} have room",
                 heap.role.prim,
                 "plait:limit" if poured else "plait:spacing",
-                "pour fewer" if poured else "author a larger one, or a smaller grainBudget",
+                "pour fewer" if poured else "author a larger one, a smaller grainBudget, or a smaller --chunk",
             )
 
     def _refuse_too_wide(self) -> None:
