@@ -213,3 +213,22 @@ def test_a_report_fills_nothing(write) -> None:
     path = write(_box("float plait:spacing = 1"))
     shot = read_shot(path, Config(), fill=False)
     assert len(_only(shot).positions) == 0 and shot.prims[0].sizes["grains (about)"] == 512
+
+
+def test_a_group_passes_its_role_on(read) -> None:
+    """To what can be filled; what cannot is refused by name, in a report that goes on."""
+    curve = (
+        'def BasisCurves "Hair"\n{\nint[] curveVertexCounts = [2]\npoint3f[] points = [(0, 0, 0), (0, 1, 0)]\n}\n'
+    )
+    group = 'def Xform "Beach"\n{\ntoken plait:role = "sand"\ndef Cone "Castle"\n{\nfloat plait:spacing = 0.3\n}\n'
+    shot = read(f"{group}{curve}}}\n")
+    assert [granular.name for granular in shot.scene.granular] == ["/Beach/Castle"]
+    hair = next(prim for prim in shot.prims if prim.path == "/Beach/Hair")
+    assert not hair.supported and "BasisCurves cannot be sand" in hair.reason
+
+
+def test_what_is_instanced_is_refused(read) -> None:
+    original = 'class Xform "_Heap"\n{\ndef Cube "Sand"\n{\ntoken plait:role = "sand"\n}\n}\n'
+    used = 'def Xform "A" (instanceable = true\ninherits = </_Heap>)\n{\n}\n'
+    sand = next(prim for prim in read(original + used).prims if prim.path == "/A/Sand")
+    assert not sand.supported and "instance" in sand.reason
