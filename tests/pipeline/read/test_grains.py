@@ -69,6 +69,28 @@ def test_what_is_filled_is_filled_where_it_stands(read) -> None:
     assert len(places) == pytest.approx(volume / 0.008**3, rel=0.03)
 
 
+@pytest.mark.parametrize(
+    ("kind", "lines", "volume"),
+    [
+        ("Cube", "double size = 1", 1.0),
+        ("Sphere", "double radius = 0.5", np.pi / 6.0),
+        ("Cylinder", "double radius = 0.5\ndouble height = 1", np.pi / 4.0),
+        ("Cone", "double radius = 0.5\ndouble height = 1", np.pi / 12.0),
+        ("Capsule", "double radius = 0.5\ndouble height = 1", np.pi / 4.0 + np.pi / 6.0),
+        (
+            "TetMesh",
+            "point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]\n"
+            "int4[] tetVertexIndices = [(0, 1, 2, 3)]",
+            1.0 / 6.0,
+        ),
+    ],
+)
+def test_shapes_are_filled(kind: str, lines: str, volume: float, read) -> None:
+    """As many grains as the volume holds, but for a layer of half a spacing, and polygons that lie inside."""
+    places = _only(read(_prim(kind, lines, "float plait:spacing = 0.05"))).positions
+    assert len(places) == pytest.approx(volume / 0.05**3, rel=0.05)
+
+
 def test_parameters_in_stage_units(read) -> None:
     stuff = 'def Material "Stuff"\n{\nfloat physics:density = 0.002\nfloat physics:youngsModulus = 500\n}\n'
     lines = (
