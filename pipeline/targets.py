@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,18 +85,18 @@ def prim_target(prim: Usd.Prim, output: PrimOutput) -> Target:
         attributes.append(normals[0] if normals else "normals")
     else:
         stale += normals
-    blocked = tuple((name, prim.GetAttribute(name).GetTypeName()) for name in stale if _authored(prim, name))
     return Target(
         output.prim_path,
         tuple(attributes),
         free_clip_set(prim),
         output.skinned,
         output.skinned and not prim.HasAPI(UsdSkel.BindingAPI),
-        blocked,
+        _blocked(prim, stale),
     )
 
 
 INVISIBLE = Constant("visibility", Sdf.ValueTypeNames.Token, UsdGeom.Tokens.invisible)
+UNDIVIDED = Constant("subdivisionScheme", Sdf.ValueTypeNames.Token, UsdGeom.Tokens.none, uniform=True)
 # What grains look like that no colour is authored for, linear.
 COLOURS = {"sand": (0.52, 0.38, 0.22), "snow": (0.86, 0.9, 0.95)}
 
@@ -104,27 +104,29 @@ COLOURS = {"sand": (0.52, 0.38, 0.22), "snow": (0.86, 0.9, 0.95)}
 def grain_target(prim: Usd.Prim, output: GrainOutput | GrainSurfaceOutput) -> Target:
     """What writing grains, or the surface about them, takes; `prim` is that of the source with the role."""
     if isinstance(output, GrainSurfaceOutput):
-        attributes = ("points", "velocities", "extent", "normals", "faceVertexCounts", "faceVertexIndices")
-        scheme = Constant("subdivisionScheme", Sdf.ValueTypeNames.Token, UsdGeom.Tokens.none, uniform=True)
-        looks, interpolations = (scheme, _colour(prim, output)), (("normals", "vertex"),)
-        return Target(output.prim_path, attributes, made="Mesh", constants=looks, interpolations=interpolations,
-                      material=_material(prim))  # fmt: skip
-    attributes, interpolations = ("points", "velocities", "extent", "ids", "widths"), (("widths", "vertex"),)
-    shown = (INVISIBLE,) if output.hidden else ()
-    if output.prim_path != output.source_path:
-        looks = (*shown, _colour(prim, output))
-        return Target(output.prim_path, attributes, made="Points", constants=looks, interpolations=interpolations,
-                      material=_material(prim))  # fmt: skip
-    stale = ("accelerations", "normals", "primvars:normals", "primvars:widths", "primvars:widths:indices")
-    blocked = tuple((name, prim.GetAttribute(name).GetTypeName()) for name in stale if _authored(prim, name))
-    return Target(
+        return Target(
+            output.prim_path,
+            ("points", "velocities", "extent", "normals", "faceVertexCounts", "faceVertexIndices"),
+            made="Mesh",
+            constants=(UNDIVIDED, _colour(prim, output)),
+            interpolations=(("normals", "vertex"),),
+            material=_material(prim),
+        )
+    grains = Target(
         output.prim_path,
-        attributes,
-        free_clip_set(prim),
-        blocked=blocked,
-        constants=shown,
-        interpolations=interpolations,
+        ("points", "velocities", "extent", "ids", "widths"),
+        constants=(INVISIBLE,) if output.hidden else (),
+        interpolations=(("widths", "vertex"),),
     )
+    if output.prim_path != output.source_path:
+        looks = (*grains.constants, _colour(prim, output))
+        return replace(grains, made="Points", constants=looks, material=_material(prim))
+    stale = ("accelerations", "normals", "primvars:normals", "primvars:widths", "primvars:widths:indices")
+    return replace(grains, clip_set=free_clip_set(prim), blocked=_blocked(prim, stale))
+
+
+def _blocked(prim: Usd.Prim, names: Iterable[str]) -> tuple[tuple[str, Sdf.ValueTypeName], ...]:
+    return tuple((name, prim.GetAttribute(name).GetTypeName()) for name in names if _authored(prim, name))
 
 
 def _colour(prim: Usd.Prim, output: GrainOutput | GrainSurfaceOutput) -> Constant:

@@ -23,8 +23,9 @@ from plait.pipeline.read.surfaces import Bodies
 from plait.pipeline.shot import GrainOutput, GrainSurfaceOutput
 from plait.solver.scene import Granular
 
-# [bytes] that a grain takes at most, its share of the grid and of what is written included.
-BYTES = 500
+# [bytes] that a grain takes while it is simulated and surfaced, and in a sample until its chunk is written: held
+# once as arrays and once as a layer.
+BYTES, SAMPLE_BYTES = 500, 72
 # A surface's cell and the spacing it goes with.
 SURFACE_CELL = 1.5
 # Grains of one shot lie on one grid: that fits spacings which differ by no more than this.
@@ -80,6 +81,7 @@ class Heaps:
         self.sizes = {heap.path: self._estimate(heap) for heap in self._heaps}
         self._fill = fill
         self._refuse_too_many()
+        self._refuse_too_wide()
         self.granular = tuple(self._granular(heap) for heap in self._heaps)
         for heap, granular in zip(self._heaps, self.granular, strict=True):
             if fill and isinstance(heap.shape, Shell):
@@ -121,7 +123,7 @@ class Heaps:
             for heap in filled
             if "spacing" not in heap.given
         ] or [heap.given["spacing"] for heap in filled]
-        common = max(asked, default=min(drawn, default=None))
+        common = max([*asked, *drawn], default=None)
         chosen = {heap.path: self._spacing(heap, common) for heap in self._heaps}
         if chosen and max(chosen.values()) > UNEVEN * min(chosen.values()):
             widest, closest = (pick(chosen, key=chosen.get) for pick in (max, min))
@@ -148,13 +150,16 @@ class Heaps:
         return {"grains (about)": round(shape.volume / spacing**3)}
 
     def _limit(self, heap: Heap) -> int:
-        return int(heap.given["limit"] or np.ceil(heap.given["rate"] * self._duration))
+        poured = int(np.ceil(heap.given["rate"] * self._duration))
+        return min(poured, int(heap.given["limit"])) if "limit" in heap.given else poured
 
     def _refuse_too_many(self) -> None:
-        """Raises InputError for more grains than memory can hold, or so wide a box that cells have no numbers."""
+        """Raises InputError for more grains than memory can hold."""
         if not self._heaps:
             return
-        room = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / BYTES
+        samples = self._config.output.chunk * len({0.0, *self._config.output.shutter})
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        room = memory / (BYTES + SAMPLE_BYTES * samples)
         total = sum(sum(sizes.values()) for sizes in self.sizes.values())
         heap = max(self._heaps, key=lambda heap: sum(self.sizes[heap.path].values()))
         if total > room:
@@ -163,8 +168,11 @@ class Heaps:
                 f"{total:.3g} grains do not fit into memory, in which {room:.2g} have room",
                 heap.role.prim,
                 "plait:limit" if poured else "plait:spacing",
-                "pour fewer" if poured else "author a larger one, or a smaller grainBudget",
+                "pour fewer" if poured else "author a larger one, a smaller grainBudget, or a smaller --chunk",
             )
+
+    def _refuse_too_wide(self) -> None:
+        """Raises InputError for a box of grains so wide that its cells have no numbers."""
         for heap in self._heaps:
             widest = float(np.ptp(heap.shape.box, axis=0).max()) / self._spacings[heap.path]
             if not widest < WIDEST:

@@ -253,8 +253,8 @@ PARAMETERS = (
         low=0.0, high=1e3, meters=1,
     ),
     Parameter(
-        "grainBudget", "1", "how many grains fill a mesh, at most, where no spacing is given; the mesh that needs "
-        "the widest spacing decides for all", roles=(SAND, SNOW),
+        "grainBudget", "1", "about how many grains fill a mesh, at most, where no spacing is given; the widest "
+        "spacing that a mesh needs, or that Points have, is that of all", roles=(SAND, SNOW),
         default=100000.0, low=1.0, high=1e9, low_allowed=True,
     ),
     Parameter(

@@ -15,13 +15,15 @@ from plait.pipeline import driver
 from plait.pipeline.cli import main
 from plait.pipeline.compare import compare
 from plait.pipeline.config import Config
-from plait.pipeline.errors import EXIT_DONE, EXIT_STOPPED
+from plait.pipeline.errors import EXIT_DONE, EXIT_STOPPED, PlaitError
 from plait.pipeline.pack import pack
 from plait.pipeline.pictures.drawables import Changing, Dots, collect
 from plait.pipeline.read import read_shot
 from plait.pipeline.read.source import Source
+from plait.pipeline.shot import PrimFrame
 from plait.pipeline.stopping import StopRequest
 from plait.pipeline.validate import validate
+from plait.pipeline.write import CacheWriter
 
 RATE, FRAMES, SUBSTEPS = 24.0, 4, 8
 PILE, TAP, DUST = "/World/Set/Pile", "/World/Set/Tap", "/World/Set/Dust"
@@ -241,6 +243,41 @@ def test_compare_matches_grains_by_ids(result: tuple[Path, Path]) -> None:
     layer.Save()
     (judged,) = [prim for prim in compare(out, other, 0.0).prims if not prim.same]
     assert judged.path == POURED and judged.problems == (f"other ids, from frame {FRAMES}",)
+
+
+def test_arrays_that_disagree_or_are_not_finite_are_never_written(
+    result: tuple[Path, Path], tmp_path: Path
+) -> None:
+    shot = read_shot(result[0], Config())
+    grains = {output.prim_path: output for output in shot.grains}
+
+    def frames(count: int, ids: int, width: float) -> list[PrimFrame]:
+        place = np.zeros((count, 3), np.float32)
+        held = {"ids": np.arange(ids), "widths": np.full(count, width, np.float32)}
+        faces = {"faceVertexCounts": np.zeros(0, np.int32), "faceVertexIndices": np.zeros(0, np.int32)}
+        nowhere = np.zeros((2, 3), np.float32)
+        return [
+            PrimFrame(path, place[:0], place[:0], nowhere, place[:0], faces)
+            if path == SURFACE
+            else PrimFrame(path, place, place, nowhere, others=held)
+            for path in grains
+        ]
+
+    def writer() -> CacheWriter:
+        return CacheWriter(
+            tmp_path / "o.usda", shot, samples=[(1.0,), (2.0,)], chunk=1, provenance={}, overwrite=True
+        )
+
+    with writer() as held:
+        with pytest.raises(ValueError, match="ids: 4 values, not 5"):
+            held.add(1.0, frames(5, 4, 1.0))
+        with pytest.raises(PlaitError, match="widths: 5 of 5 are not finite"):
+            held.add(1.0, frames(5, 5, np.nan))
+    assert not list((tmp_path / "o.cache").glob("chunk.*"))
+    with writer() as held:
+        held.add(1.0, frames(0, 0, 1.0))
+        held.add(2.0, frames(3, 3, 1.0))
+    assert validate(tmp_path / "o.usda") == []
 
 
 class _StopsSoon(StopRequest):

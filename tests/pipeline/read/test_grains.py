@@ -69,6 +69,28 @@ def test_what_is_filled_is_filled_where_it_stands(read) -> None:
     assert len(places) == pytest.approx(volume / 0.008**3, rel=0.03)
 
 
+@pytest.mark.parametrize(
+    ("kind", "lines", "volume"),
+    [
+        ("Cube", "double size = 1", 1.0),
+        ("Sphere", "double radius = 0.5", np.pi / 6.0),
+        ("Cylinder", "double radius = 0.5\ndouble height = 1", np.pi / 4.0),
+        ("Cone", "double radius = 0.5\ndouble height = 1", np.pi / 12.0),
+        ("Capsule", "double radius = 0.5\ndouble height = 1", np.pi / 4.0 + np.pi / 6.0),
+        (
+            "TetMesh",
+            "point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]\n"
+            "int4[] tetVertexIndices = [(0, 1, 2, 3)]",
+            1.0 / 6.0,
+        ),
+    ],
+)
+def test_shapes_are_filled(kind: str, lines: str, volume: float, read) -> None:
+    """As many grains as the volume holds, but for a layer of half a spacing, and polygons that lie inside."""
+    places = _only(read(_prim(kind, lines, "float plait:spacing = 0.05"))).positions
+    assert len(places) == pytest.approx(volume / 0.05**3, rel=0.05)
+
+
 def test_parameters_in_stage_units(read) -> None:
     stuff = 'def Material "Stuff"\n{\nfloat physics:density = 0.002\nfloat physics:youngsModulus = 500\n}\n'
     lines = (
@@ -213,3 +235,22 @@ def test_a_report_fills_nothing(write) -> None:
     path = write(_box("float plait:spacing = 1"))
     shot = read_shot(path, Config(), fill=False)
     assert len(_only(shot).positions) == 0 and shot.prims[0].sizes["grains (about)"] == 512
+
+
+def test_a_group_passes_its_role_on(read) -> None:
+    """To what can be filled; what cannot is refused by name, in a report that goes on."""
+    curve = (
+        'def BasisCurves "Hair"\n{\nint[] curveVertexCounts = [2]\npoint3f[] points = [(0, 0, 0), (0, 1, 0)]\n}\n'
+    )
+    group = 'def Xform "Beach"\n{\ntoken plait:role = "sand"\ndef Cone "Castle"\n{\nfloat plait:spacing = 0.3\n}\n'
+    shot = read(f"{group}{curve}}}\n")
+    assert [granular.name for granular in shot.scene.granular] == ["/Beach/Castle"]
+    hair = next(prim for prim in shot.prims if prim.path == "/Beach/Hair")
+    assert not hair.supported and "BasisCurves cannot be sand" in hair.reason
+
+
+def test_what_is_instanced_is_refused(read) -> None:
+    original = 'class Xform "_Heap"\n{\ndef Cube "Sand"\n{\ntoken plait:role = "sand"\n}\n}\n'
+    used = 'def Xform "A" (instanceable = true\ninherits = </_Heap>)\n{\n}\n'
+    sand = next(prim for prim in read(original + used).prims if prim.path == "/A/Sand")
+    assert not sand.supported and "instance" in sand.reason
