@@ -39,9 +39,11 @@ class Carriers:
     length: wp.float64  # [s] of the substep
     root: wp.array(dtype=mat66d)  # L
     aim: wp.array(dtype=vec6d)  # w0 [sqrt J]: less what the body was given beforehand, with what others push it
+    held: wp.array(dtype=mat66d)  # H, p: other flesh bodies add w . H w / 2 - p . w
+    pull: wp.array(dtype=vec6d)
     way: wp.array(dtype=vec6d)  # w
     inverse: wp.array(dtype=mat66d)  # D^-1
-    energy: wp.array(dtype=wp.float64)  # [J] of w - w0
+    energy: wp.array(dtype=wp.float64)  # [J] of w - w0 and of other flesh bodies
     wrench: wp.array(dtype=vec6d)  # [N], [N m] of all contacts on the flesh
 
 
@@ -85,6 +87,12 @@ def spread(stiffness: wp.mat33d, lever: wp.vec3d) -> mat66d:
     return out
 
 
+@wp.func
+def own_energy(carriers: Carriers, c: int, way: vec6d) -> wp.float64:
+    off = way - carriers.aim[c]
+    return HALF * wp.dot(off, off) + HALF * wp.dot(way, carriers.held[c] * way) - wp.dot(carriers.pull[c], way)
+
+
 @wp.struct
 class Settled:
     """Of one carrier, at one w."""
@@ -112,7 +120,8 @@ def look(
     total = vec6d()
     stiffness = mat66d()
     off = way - carriers.aim[c]
-    out.energy = HALF * wp.dot(off, off)
+    resisted = carriers.held[c] * way
+    out.energy = own_energy(carriers, c, way)
     for i in range(links.first[c], links.first[c + 1]):
         slot = links.slot[i]
         q = slot / SLOTS
@@ -123,8 +132,8 @@ def look(
         stiffness += spread(one.stiffness, links.lever[i])
         links.stiffness[i] = one.stiffness
     turned = wp.transpose(root)
-    out.gradient = off + carriers.length * (turned * total)
-    out.curvature = carriers.length * carriers.length * (turned * stiffness * root)
+    out.gradient = off + resisted - carriers.pull[c] + carriers.length * (turned * total)
+    out.curvature = carriers.held[c] + carriers.length * carriers.length * (turned * stiffness * root)
     for i in range(6):
         out.curvature[i, i] = out.curvature[i, i] + ONE
     carriers.wrench[c] = total
@@ -172,8 +181,7 @@ def settle(
         here = there
     carriers.way[c] = way
     carriers.inverse[c] = inverted(here.curvature)
-    off = way - carriers.aim[c]
-    carriers.energy[c] = HALF * wp.dot(off, off)
+    carriers.energy[c] = own_energy(carriers, c, way)
 
 
 @cache

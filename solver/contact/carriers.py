@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import warp as wp
 
@@ -12,6 +14,18 @@ from plait.solver.state import State
 # Where the rigid bodies go and where flesh took them to go differ by this part of the distance kept, or both are
 # found again.
 AGREES = 0.5
+
+
+class Held(NamedTuple):
+    """Of one flesh body.
+
+    push: (body_count, 6) impulse and moment on the rigid bodies.  motion: (near_count, 6) velocity [m/s] and spin
+    [1/s] by which it took them to give way.  stiffness: (near_count, 6, 6), see `RigidCarriers.note`.
+    """
+
+    push: np.ndarray
+    motion: np.ndarray
+    stiffness: np.ndarray
 
 
 class RigidCarriers:
@@ -39,8 +53,7 @@ class RigidCarriers:
         self._expected = wp.zeros((self._count, 6), dtype=wp.float64, device=model.launcher.device)
         state.arrays["obstacles/expected"] = self._expected
         self._begun_with = self.given = np.zeros((self._count, 6))
-        self._pushes: dict[int, np.ndarray] = {}
-        self._ways: dict[int, np.ndarray] = {}
+        self._held: dict[int, Held] = {}
         self._substep: Interval | None = None
         self.length, self.faced = 0.0, 0
         self._leave_alone()
@@ -51,7 +64,7 @@ class RigidCarriers:
     def begin_substep(self, substep: Interval) -> None:
         self._substep, self.length = substep, substep.length
         self._begun_with = self.given = self._expected.numpy().copy()
-        self._pushes, self._ways = {}, {}
+        self._held = {}
         self._leave_alone()
 
     def face(self, surfaces: list[int]) -> None:
@@ -63,26 +76,74 @@ class RigidCarriers:
         self.root = basis * np.sqrt(np.maximum(size, 0.0))[:, None, :]
         self.centre = self._stage.position.numpy()[self.near]
         self._guess = self._motion()
+        self._held = {b: held._replace(motion=0.0 * held.motion) for b, held in self._held.items()}
         self.faced += 1
 
     def aim(self, flesh: int) -> np.ndarray:
         """(near_count, 6) [sqrt J] by how much the bodies are too fast already, with what all but one flesh body
         gives them."""
-        others = sum((push for b, push in self._pushes.items() if b != flesh), np.zeros((self._count, 6)))
+        others = sum((held.push for held in self._others(flesh)), np.zeros((self._count, 6)))
         return np.einsum("nji,nj->ni", self.root, (others - self.given)[self.near])
 
+    def hold(self, flesh: int) -> tuple[np.ndarray, np.ndarray]:
+        """How all but one flesh body hold the bodies where they were felt: (near_count, 6, 6) and (near_count, 6)
+        [sqrt J], matrix and force of a quadratic in how far the bodies give way."""
+        matrix, force = np.zeros((len(self.near), 6, 6)), np.zeros((len(self.near), 6))
+        for held in self._others(flesh):
+            matrix += held.stiffness
+            force += np.einsum("nij,nj->ni", held.stiffness, held.motion)
+        turned = self.root.transpose(0, 2, 1)
+        return turned @ matrix @ self.root, np.einsum("nij,nj->ni", turned, force)
+
+    def _others(self, flesh: int) -> list[Held]:
+        return [held for b, held in self._held.items() if b != flesh]
+
     def note(
-        self, flesh: int, bodies: np.ndarray, places: np.ndarray, forces: np.ndarray, way: np.ndarray
+        self,
+        flesh: int,
+        bodies: np.ndarray,
+        places: np.ndarray,
+        forces: np.ndarray,
+        way: np.ndarray,
+        stiffness: np.ndarray,
     ) -> None:
         """What one flesh body feels in the substep, and how it took the rigid bodies to give way.
 
         bodies (n,), places (n, 3) [m] and forces (n, 3) [N] of its planes.  way: (near_count, 6) [sqrt J].
+        stiffness: (near_count, 6, 6) impulse and moment by velocity and spin that it answers with, about.
         """
         impulse = -self.length * forces
         push = np.zeros((self._count, 6))
         np.add.at(push[:, :3], bodies, impulse)
         np.add.at(push[:, 3:], bodies, np.cross(places - self._stage.start_position[bodies], impulse))
-        self._pushes[flesh], self._ways[flesh] = push, way
+        self._held[flesh] = Held(push, np.einsum("nij,nj->ni", self.root, way), stiffness)
+
+    def lasts(self, reach: float) -> bool:
+        """Whether flesh bodies that push the same rigid one, each solved by itself, take it to go to one place.
+
+        reach: [m] the distance that flesh keeps.
+        """
+        pushers = sum(
+            (held.push.any(axis=1).astype(int) for held in self._held.values()), np.zeros(self._count, int)
+        )
+        if pushers.max(initial=0) < 2:
+            return True
+        given = (self._total() - self.given)[self.near]
+        moved = np.einsum("nij,nkj,nk->ni", self.root, self.root, given)
+        return self._apart(moved) <= AGREES * reach
+
+    def _apart(self, moved: np.ndarray) -> float:
+        """[m] by how much the bodies' ways in the substep differ from where flesh that pushes them took them."""
+        off, size = 0.0, self._stage.contact.reach[self.near]
+        for held in self._held.values():
+            apart = (moved - held.motion)[held.push[self.near].any(axis=1)]
+            reach = size[held.push[self.near].any(axis=1)]
+            speed = np.linalg.norm(apart[:, :3], axis=1) + reach * np.linalg.norm(apart[:, 3:], axis=1)
+            off = max(off, self.length * float(speed.max(initial=0.0)))
+        return off
+
+    def _total(self) -> np.ndarray:
+        return sum((held.push for held in self._held.values()), np.zeros((self._count, 6)))
 
     def agree(self, reach: float) -> bool:
         """Lets the rigid bodies take their substep again; whether they go where flesh took them to go.
@@ -91,14 +152,7 @@ class RigidCarriers:
         """
         if not self._take():
             return True
-        moved = self._motion() - self._guess
-        size = self._stage.contact.reach[self.near]
-        off = 0.0
-        for way in self._ways.values():
-            apart = moved - np.einsum("nij,nj->ni", self.root, way)
-            speed = np.linalg.norm(apart[:, :3], axis=1) + size * np.linalg.norm(apart[:, 3:], axis=1)
-            off = max(off, self.length * float(speed.max(initial=0.0)))
-        return off <= AGREES * reach
+        return self._apart(self._motion() - self._guess) <= AGREES * reach
 
     def finish(self) -> None:
         """Ends the substep: the rigid bodies have been given what flesh felt."""
@@ -121,7 +175,7 @@ class RigidCarriers:
 
     def _take(self) -> bool:
         """Whether that changed anything."""
-        total = sum(self._pushes.values(), np.zeros((self._count, 6)))
+        total = self._total()
         if np.array_equal(total, self.given):
             return False
         change = total - self._begun_with

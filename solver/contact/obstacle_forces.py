@@ -142,6 +142,8 @@ class ObstacleForces:
         solve: moves the body from `position`, in place, to where forces that change as these do take it, and says
         whether it converged. Returns whether the last did.
         """
+        if self.gives_way:
+            self.yielding.take(self.slots)
         for _ in range(MAX_ROUNDS):
             converged = solve()
             self.rounds += 1

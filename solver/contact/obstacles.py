@@ -140,14 +140,20 @@ class Obstacles:
         forces.examine(position, position, anew=True)
         return forces.meets(self.moving)
 
-    def agree(self, base: wp.array) -> bool:
-        """Whether rigid bodies go where elastic bodies, which have been solved with them, took them to go.
+    def lasts(self, base: wp.array) -> bool:
+        """Whether elastic bodies that push the same rigid one, each solved by itself, have come to terms.
 
         base: (node_count,) vec3d [m] where impulses act.
         """
         if self.carriers is None or not len(self.carriers.near):
             return True
         self._note(base)
+        return self.carriers.lasts(REACH * float(self.particles.layout.edge.min()))
+
+    def agree(self) -> bool:
+        """Whether rigid bodies go where elastic bodies, which have been solved with them, took them to go."""
+        if self.carriers is None or not len(self.carriers.near):
+            return True
         return self.carriers.agree(REACH * float(self.particles.layout.edge.min()))
 
     def face_again(self, substep: Interval, start: wp.array, position: wp.array) -> None:

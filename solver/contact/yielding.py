@@ -9,6 +9,7 @@ import warp as wp
 
 from plait.solver.contact.carrier_kernels import Carriers, Links, coupling_kernels, settle
 from plait.solver.contact.carriers import RigidCarriers, links_of
+from plait.solver.contact.obstacle_force_kernels import STIFFER
 from plait.solver.contact.obstacle_search_kernels import SLOTS
 from plait.solver.rigid.joint_pose_kernels import mat66d, vec6d
 
@@ -77,13 +78,28 @@ class Yielding:
         base: (node_count,) vec3d [m] where impulses act.  pushes: whether the flesh has felt any of it.
         """
         planes, rigid = self._shared.planes, self._rigid
+        near = len(rigid.near)
         if not (self.count and pushes):
-            rigid.note(self._body, np.zeros(0, int), *np.zeros((2, 0, 3)), np.zeros((len(rigid.near), 6)))
+            nothing = np.zeros(0, int), *np.zeros((2, 0, 3)), np.zeros((near, 6)), np.zeros((near, 6, 6))
+            rigid.note(self._body, *nothing)
             return
         pressure = planes.pressure.numpy()[self._slots, None]
         forces = pressure * planes.normal.numpy()[self._slots] + planes.traction.numpy()[self._slots]
         places = self._shared.particles.evaluate_positions(base).numpy()[self._slots // int(SLOTS)]
-        rigid.note(self._body, self._bodies, places, forces, self.carriers.way.numpy())
+        way = self.carriers.way.numpy().copy()
+        rigid.note(self._body, self._bodies, places, forces, way, self._stiffness(near))
+
+    def _stiffness(self, near: int) -> np.ndarray:
+        """(near_count, 6, 6) about how the flesh behind the planes resists their motion, over the substep."""
+        lever = self.links.lever.numpy()
+        across = np.zeros((self.count, 3, 3))
+        for k in range(3):
+            across[:, :, k] = np.cross(np.eye(3)[k], lever)
+        place = np.concatenate([np.broadcast_to(np.eye(3), across.shape), across], axis=2)
+        held = place.transpose(0, 2, 1) @ self.links.stiffness.numpy() @ place
+        out = np.zeros((near, 6, 6))
+        np.add.at(out, np.searchsorted(self._near, self._bodies), held)
+        return self._rigid.length**2 / float(STIFFER) * out
 
     # -- set-up --------------------------------------------------------------------------------------------
 
@@ -97,6 +113,8 @@ class Yielding:
         self.carriers, self._faced = Carriers(), rigid.faced
         self.carriers.length = rigid.length
         self.carriers.root = self._hold(rigid.root, mat66d)
+        matrix, force = rigid.hold(self._body)
+        self.carriers.held, self.carriers.pull = self._hold(matrix, mat66d), self._hold(force, vec6d)
         self.carriers.aim, self.carriers.way = self._hold(aim, vec6d), way
         self.carriers.inverse = wp.zeros(count, dtype=mat66d, device=device)
         self.carriers.energy = wp.zeros(count, dtype=wp.float64, device=device)

@@ -20,8 +20,8 @@ from plait.solver.tets.stillness import islands
 EVOLVING = ("position", "velocity", "position_before", "velocity_before", "external_impulse")
 SCRATCH = ("goal", "base", "base_velocity", "predicted", "contact_impulse")
 
-# Solves with obstacles that do not agree with rigid bodies, at most.
-MAX_ROUNDS = 4
+# Solves with obstacles that do not agree with rigid bodies, or with each other, at most.
+MAX_ROUNDS, MAX_SWEEPS = 4, 8
 # What ends a substep deeper in an obstacle than this part of a cell asks for shorter ones.
 DEEPEST = 0.5
 
@@ -212,13 +212,16 @@ class TetStage:
         for round in range(MAX_ROUNDS):
             if round > 0:
                 obstacles.face_again(substep, motion.position_before, motion.position)
-            stands = all(
-                [
-                    body.meet(of_body, substep, scheme)
-                    for body, of_body in zip(self._bodies, obstacles.bodies, strict=True)
-                ]
-            )
-            if obstacles.agree(motion.base):
+            for _ in range(MAX_SWEEPS):
+                stands = all(
+                    [
+                        body.meet(of_body, substep, scheme)
+                        for body, of_body in zip(self._bodies, obstacles.bodies, strict=True)
+                    ]
+                )
+                if obstacles.lasts(motion.base):
+                    break
+            if obstacles.agree():
                 break
         return stands
 
