@@ -49,9 +49,10 @@ class Push:
 
 
 @wp.func
-def push(planes: ObstaclePlanes, slot: int, k: wp.float64, y: wp.vec3d) -> Push:
-    """The contact of a point at y."""
+def push(planes: ObstaclePlanes, slot: int, k: wp.float64, point: wp.vec3d) -> Push:
+    """The contact of a point, [m]."""
     out = Push()
+    y = point - planes.shift[slot]
     n = planes.normal[slot]
     held = planes.pressure[slot]
     bound = planes.friction[slot] * held  # [N] of friction
@@ -169,8 +170,9 @@ def strike(
     for k in range(SLOTS):
         slot = q * SLOTS + k
         if planes.surface[slot] >= 0 and planes.pressure[slot] == ZERO:
-            nearer = wp.dot(planes.normal[slot], planes.anchor[slot] - y)
-            if wp.dot(planes.normal[slot], y) < planes.offset[slot] and nearer > approach:
+            height = wp.dot(planes.normal[slot], y - planes.shift[slot])
+            nearer = wp.dot(planes.normal[slot], planes.anchor[slot]) - height
+            if height < planes.offset[slot] and nearer > approach:
                 struck = 1
                 back = wp.dot(planes.normal[slot], planes.anchor[slot]) + points.restitution[q] * nearer
                 planes.rebound[slot] = wp.max(back - planes.offset[slot], ZERO)
@@ -200,7 +202,7 @@ def leave_planes(
         if planes.surface[slot] >= 0:
             if torn and planes.pressure[slot] > ZERO:
                 planes.let_go[q * SLOTS] = 1
-            height = wp.dot(planes.normal[slot], y)
+            height = wp.dot(planes.normal[slot], y - planes.shift[slot])
             planes.depth[slot] = wp.max(planes.ground[slot] - height, ZERO)
             deepest = wp.max(deepest, planes.depth[slot])
             if height - planes.offset[slot] > LEFT * points.reach[q]:

@@ -19,6 +19,7 @@ from plait.solver.contact.obstacle_search_kernels import SLOTS, find_obstacle_pl
 
 if TYPE_CHECKING:
     from plait.solver.contact.obstacles import Obstacles
+    from plait.solver.contact.yielding import Yielding
 
 # Solves in a substep, at most; fewer when no force changes by more than this part of the largest pressure, or than
 # would move its plane by this part of the distance kept from a surface.
@@ -51,6 +52,11 @@ class ObstacleForces:
         self._inertia = 0.0  # [1/s2] over the square of the reach
         self.slots = slice(self._first * int(SLOTS), (self._first + self._count) * int(SLOTS))
         self.holds = False
+        self.yielding: Yielding | None = None
+        if obstacles.carriers is not None:
+            from plait.solver.contact.yielding import Yielding
+
+            self.yielding = Yielding(obstacles, body)
         self._forget()
 
     @property
@@ -62,7 +68,8 @@ class ObstacleForces:
     def energy(self, position: wp.array) -> float:
         """[J] with the nodes, (node_count,) vec3d [m], at `position`."""
         self._evaluate(position)
-        return float(self._energy.numpy().sum())
+        of_rigid = self.yielding.energy() if self.gives_way else 0.0
+        return float(self._energy.numpy().sum()) + of_rigid
 
     def add_forces(self, position: wp.array, tet_force: wp.array) -> None:
         """Adds the forces [N] at `position` to those on corner a of the body's tet t at 4 t + a."""
@@ -77,6 +84,11 @@ class ObstacleForces:
         """
         inputs = [self._tets, self._first_point, self._weight, self._stiffness]
         self._launcher.launch(self._kernels.add_stiffness, len(self._tets), inputs, [tet_block])
+
+    @property
+    def gives_way(self) -> bool:
+        """Whether a rigid body holds one of the planes."""
+        return self.yielding is not None and self.yielding.count > 0
 
     # -- a substep -----------------------------------------------------------------------------------------
 
@@ -130,6 +142,8 @@ class ObstacleForces:
         solve: moves the body from `position`, in place, to where forces that change as these do take it, and says
         whether it converged. Returns whether the last did.
         """
+        if self.gives_way:
+            self.yielding.take(self.slots)
         for _ in range(MAX_ROUNDS):
             converged = solve()
             self.rounds += 1
@@ -138,6 +152,16 @@ class ObstacleForces:
             if lasts and self.count == planes:
                 break
         return converged
+
+    def total(self, base: wp.array) -> tuple[np.ndarray, np.ndarray]:
+        """(3,) [N], (3,) [N m] about the origin, of the forces held, acting at `base`, (node_count,) vec3d [m]."""
+        planes, slots = self._shared.planes, self.slots
+        held = planes.surface.numpy()[slots] >= 0
+        forces = planes.normal.numpy()[slots] * planes.pressure.numpy()[slots][:, None]
+        forces = (forces + planes.traction.numpy()[slots])[held]
+        places = self._shared.particles.evaluate_positions(base).numpy()
+        places = np.repeat(places[self._first :][: self._count], int(SLOTS), axis=0)[held]
+        return forces.sum(axis=0), np.cross(places, forces).sum(axis=0)
 
     def leave(self, position: wp.array) -> float:
         """Notes for the next substep how planes have been left; how deep [m] the deepest particle is."""
@@ -150,12 +174,18 @@ class ObstacleForces:
 
     def _hold(self, position: wp.array) -> bool:
         """Whether the forces at `position`, now held, are those held before."""
+        if not self.count:
+            return True
+        if self.gives_way:
+            self.yielding.settle(position, self._inertia)
         change, pressure = (wp.empty(self.count, dtype=wp.float64, device=self._launcher.device) for _ in range(2))
         inputs = [self.active, self._shared.points, self._shared.planes, self._inertia, position]
         self._launcher.launch(hold_forces, self.count, inputs, [change, pressure], work_per_item=FORCE_WORK)
         return float(change.numpy().max()) <= max(LASTING, OF_PRESSURE * float(pressure.numpy().max()))
 
     def _evaluate(self, position: wp.array) -> None:
+        if self.gives_way:
+            self.yielding.settle(position, self._inertia)
         inputs = [self.active, self._shared.points, self._shared.planes, self._inertia, position]
         outputs = [self._energy, self._force, self._stiffness]
         self._launcher.launch(evaluate_pushes, self.count, inputs, outputs, work_per_item=FORCE_WORK)
@@ -179,3 +209,5 @@ class ObstacleForces:
         self._energy = wp.zeros(len(own), dtype=wp.float64, device=device)
         self._force = wp.zeros(len(own), dtype=wp.vec3d, device=device)
         self._stiffness = wp.zeros(len(own), dtype=wp.mat33d, device=device)
+        if self.yielding is not None:
+            self.yielding.take(self.slots)

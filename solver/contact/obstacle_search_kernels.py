@@ -43,6 +43,7 @@ class ObstaclePlanes:
     rebound: wp.array(dtype=wp.float64)  # [m] further than `offset`, by which an impact ends the substep
     depth: wp.array(dtype=wp.float64)  # [m] how far under that the point was left; not negative
     anchor: wp.array(dtype=wp.vec3d)  # [m] where the point would be, had the surface carried it along
+    shift: wp.array(dtype=wp.vec3d)  # [m] by which the surface, of a rigid body, has given way: all goes with it
     friction: wp.array(dtype=wp.float64)  # Coulomb coefficient
     pressure: wp.array(dtype=wp.float64)  # [N] along the normal, at the substep's end
     traction: wp.array(dtype=wp.vec3d)  # [N] friction
@@ -213,6 +214,7 @@ def put(
     planes.offset[slot] = offset
     planes.ground[slot] = offset - contact.target
     planes.anchor[slot] = contact.anchor
+    planes.shift[slot] = wp.vec3d()
     planes.friction[slot] = friction
     return slot
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -21,6 +21,9 @@ from plait.solver.kinematics.colliders import Collider
 from plait.solver.model import Interval, Model
 from plait.solver.state import State
 
+if TYPE_CHECKING:
+    from plait.solver.contact.carriers import RigidCarriers
+
 # Distance kept from a surface, as part of a tet's edge.
 REACH = 0.02
 PLANE_ARRAYS = {
@@ -31,6 +34,7 @@ PLANE_ARRAYS = {
     "rebound": wp.float64,
     "depth": wp.float64,
     "anchor": wp.vec3d,
+    "shift": wp.vec3d,
     "friction": wp.float64,
     "pressure": wp.float64,
     "traction": wp.vec3d,
@@ -66,13 +70,18 @@ class Obstacles:
     def __init__(self, model: Model, state: State, particles: CollisionParticles) -> None:
         self.launcher, self.particles = model.launcher, particles
         self.real = wp.float64 if model.settings.precision == "float64" else wp.float32
-        self._kinematics = model.parts["kinematics"]
+        self._kinematics, self._rigid = model.parts["kinematics"], model.parts.get("rigid")
         self._exit_speed = model.settings.contact.exit_speed
         self.points = self._hold_points(model, particles)
         self.before, self.planes = (self._allocate(particles.count) for _ in range(2))
         for name in KEPT:
             state.arrays[f"obstacles/{name}"] = getattr(self.before, name)
         self.surfaces = self._hold_surfaces()
+        self.carriers: RigidCarriers | None = None
+        if any(collider.surface.rigid is not None for collider in self._kinematics.colliders.items):
+            from plait.solver.contact.carriers import RigidCarriers
+
+            self.carriers = RigidCarriers(model, state)
         self.travel = wp.zeros(0, dtype=wp.float64, device=model.launcher.device)
         self.moving = np.zeros(0, dtype=np.int32)
         self.length = self.exit_distance = 0.0  # [s], [m] of the substep
@@ -89,6 +98,8 @@ class Obstacles:
         lying: (body_count,) bool, bodies that stay where they are, and keep their planes; none by default.
         """
         self._keep()
+        if self.carriers is not None:
+            self.carriers.begin_substep(substep)
         lying = np.zeros(len(self.bodies), dtype=bool) if lying is None else lying
         for b in np.flatnonzero(lying):
             self._hold(self.bodies[b])
@@ -97,6 +108,9 @@ class Obstacles:
         near = self._find_near(substep, start, position)
         if near:
             self._face(near, substep)
+            self._near = near
+            if self.carriers is not None:
+                self.carriers.face([collider.index for collider in near])
             for b in np.flatnonzero(~lying):
                 self.bodies[b].examine(start, position, anew=True)
         else:
@@ -113,7 +127,8 @@ class Obstacles:
         self._keep()
         x = position.numpy()[self.particles.layout.nodes(body)]
         margin = 2.0 * REACH * self.particles.layout.edge[body]
-        near = self._kinematics.colliders_near(x.min(axis=0) - margin, x.max(axis=0) + margin, substep)
+        lower, upper = x.min(axis=0) - margin, x.max(axis=0) + margin
+        near = self._kinematics.colliders_near(lower, upper, substep, rigid=True)
         near = [collider for collider in near if collider.moves]
         if near:
             self._face(near, substep)
@@ -125,14 +140,55 @@ class Obstacles:
         forces.examine(position, position, anew=True)
         return forces.meets(self.moving)
 
+    def lasts(self, base: wp.array) -> bool:
+        """Whether elastic bodies that push the same rigid one, each solved by itself, have come to terms.
+
+        base: (node_count,) vec3d [m] where impulses act.
+        """
+        if self.carriers is None or not len(self.carriers.near):
+            return True
+        self._note(base)
+        return self.carriers.lasts(REACH * float(self.particles.layout.edge.min()))
+
+    def agree(self) -> bool:
+        """Whether rigid bodies go where elastic bodies, which have been solved with them, took them to go."""
+        if self.carriers is None or not len(self.carriers.near):
+            return True
+        return self.carriers.agree(REACH * float(self.particles.layout.edge.min()))
+
+    def face_again(self, substep: Interval, start: wp.array, position: wp.array) -> None:
+        """Takes rigid bodies to go where they now do; forgets the planes found before."""
+        for collider in self._near:
+            if collider.surface.rigid is not None:
+                self._kinematics.take_rigid(collider)
+        self._face(self._near, substep)
+        self.carriers.face([collider.index for collider in self._near])
+        for body in self.bodies:
+            if not body.holds:
+                body.examine(start, position, anew=True)
+
+    def _note(self, base: wp.array) -> None:
+        for body in self.bodies:
+            if not body.holds:
+                body.yielding.note(base, pushes=body.rounds > 0)
+
+    def finish(self, base: wp.array) -> None:
+        """Before `leave`, gives rigid bodies what they gave elastic bodies."""
+        if self.carriers is not None:
+            if len(self.carriers.near):
+                self._note(base)
+            self.carriers.finish()
+
     def leave(self, position: wp.array) -> float:
         """Ends a substep with the nodes at `position`; how deep [m] a particle has been left under a surface."""
         self._left = True
         return max(body.leave(position) for body in self.bodies)
 
-    def retract(self) -> None:
+    def retract(self, substep: Interval) -> None:
         """As before `begin_substep`."""
         self._left, self._tracked = False, True
+        if self.carriers is not None:
+            self.carriers.retract(substep)
 
     def end_frame(self) -> dict[str, Any]:
         """Of the last substep: particles with a surface near, most solves that a body took, particles let go."""
@@ -221,7 +277,7 @@ class Obstacles:
             margin = way + 2.0 * REACH * layout.edge[b]
             lower = np.minimum(*(x[nodes].min(axis=0) for x in ends)) - margin
             upper = np.maximum(*(x[nodes].max(axis=0) for x in ends)) + margin
-            for collider in self._kinematics.colliders_near(lower, upper, substep):
+            for collider in self._kinematics.colliders_near(lower, upper, substep, rigid=True):
                 found[collider.index] = collider
         return [found[index] for index in sorted(found)]
 
@@ -241,7 +297,7 @@ class Obstacles:
         surfaces.friction = hold(
             [-1.0 if c.surface.friction is None else c.surface.friction for c in near], wp.float64
         )
-        boxes = np.array([kinematics.box(c, [substep.start, substep.end]) for c in near])
+        boxes = np.array([self._box(c, substep) for c in near])
         surfaces.lower, surfaces.upper = hold(boxes[:, 0], wp.vec3d), hold(boxes[:, 1], wp.vec3d)
         surfaces.points_start = kinematics.colliders.points[kinematics.start]
         surfaces.points_end = kinematics.colliders.points[kinematics.end]
@@ -254,10 +310,15 @@ class Obstacles:
         self.length = substep.length
         self.exit_distance = self._exit_speed * substep.length
 
+    def _box(self, collider: Collider, substep: Interval) -> np.ndarray:
+        if collider.surface.rigid is not None:
+            return self._rigid.bounds(collider.surface.rigid)
+        return self._kinematics.box(collider, [substep.start, substep.end])
+
 
 def build_obstacles(model: Model, state: State, particles: CollisionParticles) -> Obstacles | None:
-    """None where no surface collides but those that bodies carry."""
+    """None where no surface collides but skins."""
     colliders = model.parts["kinematics"].colliders
-    if colliders is None or all(collider.carried for collider in colliders.items):
+    if colliders is None or all(collider.surface.body is not None for collider in colliders.items):
         return None
     return Obstacles(model, state, particles)

@@ -116,23 +116,39 @@ class KinematicsStage:
         if self.carries:
             self.place_roots(time)
 
-    def colliders_near(self, lower: np.ndarray, upper: np.ndarray, substep: Interval) -> list[Collider]:
+    def colliders_near(
+        self, lower: np.ndarray, upper: np.ndarray, substep: Interval, rigid: bool = False
+    ) -> list[Collider]:
         """Surfaces that no body carries and that may enter a box (3,), (3,) [m] in the substep last stepped.
 
         They are placed at both its ends; whatever else moved them there comes for free.
+        rigid: also those of rigid bodies, which have stepped.
         """
         near = []
         for collider in self.colliders.items if self.colliders else ():
             margin = collider.surface.thickness
+            if collider.surface.rigid is not None:
+                if rigid and _meet(self.model.parts["rigid"].bounds(collider.surface.rigid), lower, upper, margin):
+                    self.take_rigid(collider)
+                    near.append(collider)
+                continue
             box = self._frame_boxes.get(collider.index)
-            if box is None or np.any(box[0] > upper + margin) or np.any(box[1] < lower - margin):
+            if box is None or not _meet(box, lower, upper, margin):
                 continue
             box = self.box(collider, [substep.start, substep.end])
-            if np.all(box[0] <= upper + margin) and np.all(box[1] >= lower - margin):
+            if _meet(box, lower, upper, margin):
                 self._place(collider, self.start, substep.start)
                 self._place(collider, self.end, substep.end)
                 near.append(collider)
         return near
+
+    def take_rigid(self, collider: Collider) -> None:
+        """Places a rigid body's surface at both ends of the substep that the body last stepped."""
+        stage = self.model.parts["rigid"]
+        self._plant(collider)
+        for buffer, at_end in ((self.start, False), (self.end, True)):
+            place = partial(stage.place_surface, collider.index, at_end=at_end)
+            self._skinned += self.colliders.take(collider, buffer, place)
 
     def followed_near(self, lower: np.ndarray, upper: np.ndarray) -> list[Collider]:
         """Of `followed`, those that are in a box (3,), (3,) [m] at either end of the substep last stepped."""
@@ -169,11 +185,14 @@ class KinematicsStage:
         of_tets = {index: partial(tets.place_skin, body) for index, body in carried} if tets is not None else {}
         return of_tets | (rigid.skins() if rigid is not None else {})
 
-    def _place(self, collider: Collider, buffer: int, time: float) -> None:
+    def _plant(self, collider: Collider) -> None:
         self._placed.add(collider.index)
         if not collider.meshes:
             first = self.model.start_time
             self._skinned += self.colliders.plant(collider, self.pose_at(collider.index, first), first)
+
+    def _place(self, collider: Collider, buffer: int, time: float) -> None:
+        self._plant(collider)
         if collider.carried:
             self._skinned += self.colliders.take(collider, buffer, self.skins()[collider.index])
         else:
@@ -215,6 +234,11 @@ class KinematicsStage:
             bend = np.abs(samples[2:] - 2.0 * samples[1:-1] + samples[:-2]).max(axis=0)
             boxes += np.stack([-bend, bend], axis=1)
         return boxes
+
+
+def _meet(box: np.ndarray, lower: np.ndarray, upper: np.ndarray, margin: float) -> bool:
+    """Whether two boxes are no further apart than `margin` [m]."""
+    return bool(np.all(box[0] <= upper + margin) and np.all(box[1] >= lower - margin))
 
 
 def _carried(surface: Surface) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
@@ -24,12 +24,20 @@ class Correction(Protocol):
         """z += C r, and r . z anew into `descent[parity]`."""
 
 
+class Reduction(Protocol):
+    """What is taken off the matrix."""
+
+    def subtract(self, krylov: Any) -> None:
+        """From the product with z, and from z . A z."""
+
+
 class ConjugateGradients:
     """Solves A x = b with the inverse diagonal blocks as preconditioner, and what `correction` adds to it.
 
     The recurrences are those of Chronopoulos and Gear 1989 (one product, one pass over the vectors an iteration).
     Sums are taken over chunks of fixed size, so their bits do not depend on the number of threads.
 
+    reduction: taken off the matrix of the rows, if any; what is left is positive definite.
     krylov: struct `Krylov`; `residual` is b before and what remains of it after `solve`, `solution` is x.
     """
 
@@ -58,6 +66,7 @@ class ConjugateGradients:
             prepare(kernels.update, chunks, [data, krylov, parity], work_per_item=UPDATE_WORK * a_row)
             for parity in (0, 1)
         ]
+        self.reduction: Reduction | None = None
         self._look_every = LOOK_EVERY_CUDA if device.is_cuda else 1
 
     def solve(self, tolerance: float, max_iterations: int, correction: Correction | None = None) -> int:
@@ -75,6 +84,8 @@ class ConjugateGradients:
                 return iteration
             parity = iteration % 2
             self._multiply()
+            if self.reduction is not None:
+                self.reduction.subtract(self.krylov)
             self._update[parity]()
             if iteration % self._look_every == 0 and self._memory()[parity, 1] == 0.0:
                 self.definite = False

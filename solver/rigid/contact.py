@@ -57,6 +57,7 @@ FIND_WORK, SOLVE_WORK = 400, 2000
 class RigidContact:
     """Finds contacts, gathers islands and solves them: a few launches a substep, recorded once.
 
+    reach: (body_count,) [m] from a centre of mass to what of the body is furthest, and contact's margin.
     unconverged: islands and substeps of the frame whose last sweep still changed more than was asked.
     """
 
@@ -64,7 +65,7 @@ class RigidContact:
         self._model, self._stage, self._launcher = model, stage, model.launcher
         self._kinematics = model.parts["kinematics"]
         self.table = GeomTable(model, [body.center_of_mass for body in stage.bodies])
-        self._reach = self._reach_of_bodies()
+        self.reach = self._reach_of_bodies()
         device = self._launcher.device
         slots, geoms = int(self.table.first_slot[-1]), len(self.table.surfaces)
         self.contacts, self._kept, self._rows = Contacts(), Kept(), Rows()
@@ -205,7 +206,7 @@ class RigidContact:
             return
         stage = self._stage
         position, velocity = stage.position.numpy(), stage.velocity.numpy()
-        way = self._reach[:, None] + substep.length * np.abs(velocity)
+        way = self.reach[:, None] + substep.length * np.abs(velocity)
         near = self._kinematics.colliders_near((position - way).min(axis=0), (position + way).max(axis=0), substep)
         held = {collider.index for collider in near}
         active = np.array([item.index in held for item in self.table.colliders])

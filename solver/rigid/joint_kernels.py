@@ -304,6 +304,13 @@ def solve_joint(
 
 
 @wp.func
+def loosen_joint(joints: Joints, j: int):
+    """Nothing is added to what the rows' speeds lack, and no limit is near."""
+    joints.bias[j] = vec6d()
+    joints.limit_bias[j] = wp.vec2d(wp.inf, wp.inf)
+
+
+@wp.func
 def note_joint(joints: Joints, j: int):
     """Before a sweep."""
     joints.held[j] = joints.impulse[j]

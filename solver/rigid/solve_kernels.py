@@ -18,6 +18,7 @@ from plait.solver.rigid.joint_kernels import (
     carry_joint_on,
     joint_change,
     look_at_joint,
+    loosen_joint,
     note_joint,
     solve_joint,
 )
@@ -38,6 +39,7 @@ from plait.solver.rigid.types import Contacts, Geoms, Start, Step
 # Unrolled, the joints' loops over rows would be most of the code.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
+FAR = wp.constant(wp.float64(0.5))  # [rad]
 # Impacts slower than what gravity gives in so many substeps do not rebound.
 SLOW = wp.constant(wp.float64(2.0))
 
@@ -107,6 +109,19 @@ def sweep_until(
     return change
 
 
+@wp.func
+def turns_far(islands: Islands, work: Work, begin: int, end: int, length: wp.float64) -> bool:
+    """Whether a body would turn far in the substep.
+
+    What turning adds must then not be found before contacts and joints have held it, to first order: where a
+    whole turn leads back to, there would be nothing to hold.
+    """
+    fastest = wp.float64(ZERO)
+    for i in range(begin, end):
+        fastest = wp.max(fastest, wp.length(work.spin[islands.body[i]]))
+    return length * fastest > FAR
+
+
 @wp.kernel
 def solve_islands(
     first: int,
@@ -156,6 +171,12 @@ def solve_islands(
         joints.limit_impulse[j] = wp.vec2d()
     for i in range(contact_begin, contact_end):
         begin_contact(contacts, rows, masses, motion, start, work, islands.contact[i], step)
+    if turns_far(islands, work, body_begin, body_end, length):
+        for i in range(joint_begin, joint_end):
+            loosen_joint(joints, islands.joint[i])
+        work.lack[r] = sweep_until(
+            islands, contacts, rows, joints, masses, motion, start, work, r, bound, effort.sweeps
+        )
     for k in range(effort.passes):
         for i in range(body_begin, body_end):
             b = islands.body[i]

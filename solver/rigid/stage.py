@@ -157,11 +157,29 @@ class RigidStage:
         held = self._step.numpy().copy()
         held["length"] = substep.length
         self._step.assign(held)
+        self._move(substep)
+        return True
+
+    def redo(self, substep: Interval, impulses: np.ndarray, moments: np.ndarray) -> None:
+        """Takes the substep last stepped again, with other impulses.
+
+        impulses, moments: (body_count, 3) [kg m/s], [kg m2/s] about where the centres of mass were, beside those
+        that the bodies had to take up.
+        """
+        state, before = self.motion, self._before
+        for name in MOTION:
+            wp.copy(getattr(state, name), getattr(before, name))
+        state.impulse.assign(before.impulse.numpy() + impulses)
+        state.angular_impulse.assign(before.angular_impulse.numpy() + moments)
+        self.joints.retract()
+        self.contact.retract()
+        self._move(substep)
+
+    def _move(self, substep: Interval) -> None:
         self.joints.begin_substep(substep)
         self._begin()
         self.contact.solve(substep)
         self._advance()
-        return True
 
     def retract(self, state: State, substep: Interval) -> None:
         for name in MOTION:
@@ -169,11 +187,35 @@ class RigidStage:
         self.joints.retract()
         self.contact.retract()
 
-    def place_surface(self, surface: int, points: wp.array, query_points: wp.array) -> None:
-        """Writes the points of a surface that a body carries: (n,) vec3d [m], world, and the same as vec3f."""
+    def place_surface(
+        self, surface: int, points: wp.array, query_points: wp.array, *, at_end: bool = True
+    ) -> None:
+        """Writes the points of a surface that a body carries: (n,) vec3d [m], world, and the same as vec3f.
+
+        at_end: of the substep last stepped; or at its start.
+        """
         body = self._model.scene.surfaces[surface].rigid
-        inputs = [self._points[surface], self.motion.position, self.motion.orientation, body]
+        motion = self.motion if at_end else self._before
+        inputs = [self._points[surface], motion.position, motion.orientation, body]
         self._launcher.launch(place_points, len(points), inputs, [points, query_points])
+
+    def bounds(self, body: int) -> np.ndarray:
+        """(2, 3) [m] a box that holds a body in the substep last stepped."""
+        reach = self.contact.reach[body]
+        ends = [motion.position.numpy()[body] for motion in (self._before, self.motion)]
+        return np.stack([np.minimum(*ends) - reach, np.maximum(*ends) + reach])
+
+    def speeds(self) -> np.ndarray:
+        """(body_count, 6) velocity [m/s] and spin [1/s], world."""
+        rotation = np.array([rotation_matrix(q) for q in self.orientation.numpy()])
+        inverse = rotation @ self._masses.inertia_inverse.numpy() @ rotation.transpose(0, 2, 1)
+        spin = np.einsum("nij,nj->ni", inverse, self.angular_momentum.numpy())
+        return np.concatenate([self.velocity.numpy(), spin], axis=1)
+
+    @property
+    def start_position(self) -> np.ndarray:
+        """(body_count, 3) [m] the centres of mass where the substep last stepped began."""
+        return self._before.position.numpy()
 
     def push(self, bodies: np.ndarray, places: np.ndarray, impulses: np.ndarray) -> None:
         """Adds impulses of others, (n, 3) [kg m/s] at places (n, 3) [m], world; `bodies` (n,) take them up."""

@@ -161,7 +161,13 @@ class BodySolver:
             converged = self._minimise() if self._whole is None else self._minimise_free()
         else:
             motion = self._motion
-            converged = self.newton.obstacles.alternate(motion.position_before, motion.position, self._minimise)
+            obstacles = self.newton.obstacles
+            converged = obstacles.alternate(motion.position_before, motion.position, self._minimise)
+            if obstacles.gives_way and self._whole is not None:
+                force, moment = obstacles.total(motion.base)
+                given = self._whole.moments(self._ones, motion.base, motion.contact_impulse)
+                reach = self._step.reach
+                self._give_momenta(given.weight * given.mean_b + reach * force, given.cross + reach * moment)
         if not self._skipped:
             self._over_nodes(self._kernels.find_velocity)
         return converged
@@ -170,14 +176,18 @@ class BodySolver:
         """Takes the step again if it led through obstacles; whether it converged.
 
         By backward Euler where one is struck: the second-order scheme, told by its past of a motion that has
-        ended, would take the body off again with half of its speed.
+        ended, would take the body off again with half of its speed. And where rigid bodies give way: what the body
+        gains in the substep is then what they lose.
         """
+        if not self._skipped and self.newton is not None and self.newton.obstacles is obstacles:
+            return self.solve()
         if self.newton is None or not obstacles.pushes(self._motion.position, self._step.reach):
             return True
         if self._skipped:
             self._skipped = False
             self._begin(substep, scheme)
-        if obstacles.strikes(self._motion.position) and self._step.before > 0.0:
+        lasts = not obstacles.strikes(self._motion.position)
+        if (obstacles.gives_way or not lasts) and self._step.before > 0.0:
             self.struck = True
             step = self._step
             step.start, step.before, step.reach = 1.0, 0.0, step.length
@@ -266,26 +276,33 @@ class BodySolver:
         return outcome.converged
 
     def _minimise_free(self) -> bool:
-        """Minimises, then gives the body the momenta of its start, but for gravity, damping and contact so far."""
-        whole, motion, step = self._whole, self._motion, self._step
-        contact = whole.moments(self._ones, motion.base, motion.contact_impulse)
+        """Minimises, then gives the body its momenta."""
+        motion = self._motion
+        contact = self._whole.moments(self._ones, motion.base, motion.contact_impulse)
         converged = self._minimise()
-        if self.asleep:
-            return converged
+        if not self.asleep:
+            self._give_momenta(contact.weight * contact.mean_b, contact.cross)
+        return converged
+
+    def _give_momenta(self, impulse: np.ndarray, moment: np.ndarray) -> None:
+        """Gives a free body the momenta of its start, but for gravity, damping and what it was given.
+
+        impulse, moment: (3,) [kg m/s], (3,) [kg m2/s] about the origin, acting at `base`.
+        """
+        whole, motion, step = self._whole, self._motion, self._step
         start = whole.moments(motion.mass, motion.position_before, motion.velocity_before)
         base = whole.moments(motion.mass, motion.base, motion.base_velocity)
         damping = 1.0 / (1.0 + step.mass_damping * step.reach)
-        change = damping * contact.weight / base.weight * contact.mean_b
+        change = damping * impulse / base.weight
         velocity = damping * (base.mean_b + step.reach * np.array(step.gravity)) + change
         centre = base.mean_a + step.reach * velocity
         # Of the impulses' torque, what does not show in the centre's own angular momentum is spin.
         orbital = np.cross(centre, velocity) - np.cross(centre - step.reach * change, velocity - change)
         spin = np.exp(-step.mass_damping * step.length) * start.inner_cross
-        spin = spin + contact.cross - base.weight * orbital
+        spin = spin + moment - base.weight * orbital
         now = whole.moments(motion.mass, motion.base, motion.position)
         rotation = rotation_with_spin(now.product, step.reach * spin)
         whole.move(motion.position, now.mean_b, rotation, centre)
-        return converged
 
     def _check_finite(self, here: Evaluation) -> None:
         if np.isfinite(here.residual):

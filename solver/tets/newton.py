@@ -268,6 +268,8 @@ class Newton:
             self.damping.add_stiffness(self._tet_blocks)
         if self.obstacles is not None:
             self.obstacles.add_stiffness(self._tet_blocks)
+        gives_way = self.obstacles is not None and self.obstacles.gives_way
+        self.gradients.reduction = self.obstacles.yielding if gives_way else None
         self.rows.assemble(self._tet_blocks, self.unknowns.weight)
 
     def _advance(self, fraction: float) -> None:

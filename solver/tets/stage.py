@@ -20,6 +20,8 @@ from plait.solver.tets.stillness import islands
 EVOLVING = ("position", "velocity", "position_before", "velocity_before", "external_impulse")
 SCRATCH = ("goal", "base", "base_velocity", "predicted", "contact_impulse")
 
+# Solves with obstacles that do not agree with rigid bodies, or with each other, at most.
+MAX_ROUNDS, MAX_SWEEPS = 4, 8
 # What ends a substep deeper in an obstacle than this part of a cell asks for shorter ones.
 DEEPEST = 0.5
 
@@ -156,7 +158,7 @@ class TetStage:
         if self._contact is not None:
             self._contact.retract(substep)
             if self._contact.obstacles is not None:
-                self._contact.obstacles.retract()
+                self._contact.obstacles.retract(substep)
 
     def _take_contact_impulses(self, impulse: wp.array, substep: Interval, scheme: Scheme) -> list[BodySolver]:
         """Returns the bodies that this woke."""
@@ -175,12 +177,7 @@ class TetStage:
         obstacles, start, stands = contact.obstacles, motion.position_before, True
         in_reach = obstacles is not None and obstacles.begin_substep(substep, start, motion.position, self._lying)
         if in_reach:
-            stands = all(
-                [
-                    body.meet(of_body, substep, scheme)
-                    for body, of_body in zip(self._bodies, obstacles.bodies, strict=True)
-                ]
-            )
+            stands = self._meet_obstacles(substep, scheme)
         touches = False
         if stands or last_resort:
             touches, woken_stand = self._touch(substep, scheme, in_reach)
@@ -203,8 +200,29 @@ class TetStage:
             in_contact = [body for body in self._bodies if body.struck]
         for body in in_contact:
             body.finish()
+        if obstacles is not None:
+            obstacles.finish(motion.base)
         if in_reach and obstacles.leave(motion.position) > DEEPEST * contact.cell_size:
             stands = False
+        return stands
+
+    def _meet_obstacles(self, substep: Interval, scheme: Scheme) -> bool:
+        """Solves the bodies with obstacles, again while rigid ones do not go where they were taken to go."""
+        obstacles, motion = self._contact.obstacles, self._motion
+        for round in range(MAX_ROUNDS):
+            if round > 0:
+                obstacles.face_again(substep, motion.position_before, motion.position)
+            for _ in range(MAX_SWEEPS):
+                stands = all(
+                    [
+                        body.meet(of_body, substep, scheme)
+                        for body, of_body in zip(self._bodies, obstacles.bodies, strict=True)
+                    ]
+                )
+                if obstacles.lasts(motion.base):
+                    break
+            if obstacles.agree():
+                break
         return stands
 
     @property
