@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from plait.solver.model import Interval, Model
-from plait.solver.rigid.mobility import mobility
+from plait.solver.rigid.mobility import mobility, supported
 from plait.solver.state import State
 
 # Where the rigid bodies go and where flesh took them to go differ by this part of the distance kept, or both are
@@ -71,7 +71,7 @@ class RigidCarriers:
         """Takes these surfaces, by index into `Scene.surfaces`, to be in reach."""
         bodies = self.body_of[np.array(surfaces, dtype=int)]
         self.near = np.unique(bodies[bodies >= 0])
-        matrix = mobility(self._stage, self.near).matrix
+        matrix = mobility(self._stage, self.near)
         size, basis = np.linalg.eigh(matrix)
         self.root = basis * np.sqrt(np.maximum(size, 0.0))[:, None, :]
         self.centre = self._stage.position.numpy()[self.near]
@@ -160,8 +160,8 @@ class RigidCarriers:
         expected = np.zeros((self._count, 6))
         pushed = np.flatnonzero(self.given.any(axis=1))
         if len(pushed):
-            supported = pushed[mobility(self._stage, pushed).supported]
-            expected[supported] = self.given[supported]
+            held = pushed[supported(self._stage, pushed)]
+            expected[held] = self.given[held]
             stage = self._stage
             stage.impulse.assign(stage.impulse.numpy() + expected[:, :3])
             stage.angular_impulse.assign(stage.angular_impulse.numpy() + expected[:, 3:])

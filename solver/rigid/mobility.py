@@ -11,6 +11,7 @@ from plait.solver.rigid.quaternions import rotation_matrix
 
 if TYPE_CHECKING:
     from plait.solver.rigid.stage import RigidStage
+    from plait.solver.scene import Joint
 
 # Of larger islands each body is taken with the others at rest: the problem grows with the island's size cubed.
 LARGEST_ISLAND = 32
@@ -32,7 +33,7 @@ def mobility(stage: RigidStage, bodies: np.ndarray, *, supports: bool = True) ->
     limits that bore a load in the last substep, these as if they could pull:
     M^-1 - M^-1 J^T (J M^-1 J^T)^-1 J M^-1. Friction holds nothing here.
     """
-    rows = [*_joint_rows(stage, supports), *(_contact_rows(stage) if supports else ())]
+    rows = [*_joint_rows(stage), *(_support_rows(stage) if supports else ())]
     islands = _islands(len(stage.bodies), rows)
     roots = _inverse_mass_roots(stage)
     matrix = np.zeros((len(bodies), 6, 6))
@@ -43,6 +44,13 @@ def mobility(stage: RigidStage, bodies: np.ndarray, *, supports: bool = True) ->
         own = [row for row in rows if not set(members.tolist()).isdisjoint(row.bodies)]
         matrix[k] = _constrained(roots, members, own, int(body))
     return matrix
+
+
+def supported(stage: RigidStage, bodies: np.ndarray) -> np.ndarray:
+    """(n,) bool: whether contacts or limits bore a load of `bodies` (n,), or of what is joined to them or touches."""
+    supports = list(_support_rows(stage))
+    islands = _islands(len(stage.bodies), [*_joint_rows(stage), *supports])
+    return np.isin(islands[bodies], [islands[row.bodies[0]] for row in supports])
 
 
 def _constrained(roots: np.ndarray, members: np.ndarray, rows: list[_Row], body: int) -> np.ndarray:
@@ -80,11 +88,6 @@ def _islands(count: int, rows: list[_Row]) -> np.ndarray:
     return root
 
 
-def _contact_rows(stage: RigidStage) -> Iterator[_Row]:
-    for bodies, levers, normal in stage.contact.loaded():
-        yield _row(bodies, levers, normal)
-
-
 def _row(bodies: tuple[int, int], levers: tuple[np.ndarray, np.ndarray], way: np.ndarray) -> _Row:
     """The speed along `way` of the first body's place against the second's; -1: no body."""
     parts = [
@@ -102,16 +105,12 @@ def _turn_row(bodies: tuple[int, int], axis: np.ndarray) -> _Row:
     return _Row(tuple(b for b, _ in parts), tuple(part for _, part in parts))
 
 
-def _joint_rows(stage: RigidStage, limits: bool) -> Iterator[_Row]:
+def _joint_rows(stage: RigidStage) -> Iterator[_Row]:
     position = stage.position.numpy()
     rotation = [rotation_matrix(q) for q in stage.orientation.numpy()]
-    joints = stage.joints.joints
-    place, turn = joints.place.numpy(), joints.turn.numpy()
-    at_limit = joints.limit_impulse.numpy().any(axis=1)
-    limit_axis = joints.limit_axis.numpy()
+    place, turn = stage.joints.joints.place.numpy(), stage.joints.joints.turn.numpy()
     for j, joint in enumerate(stage.joints.scene_joints):
-        bodies = tuple(-1 if b is None else b for b in joint.bodies)
-        a, b = bodies
+        a, b = bodies = _bodies_of(joint)
         anchor = place[2 * j + 1] if b < 0 else position[b] + rotation[b] @ place[2 * j + 1]
         levers = tuple(anchor - position[k] if k >= 0 else np.zeros(3) for k in bodies)
         frame = rotation_matrix(turn[2 * j])
@@ -122,7 +121,22 @@ def _joint_rows(stage: RigidStage, limits: bool) -> Iterator[_Row]:
             yield _row(bodies, levers, way)
         for axis in turns:
             yield _turn_row(bodies, axis)
-        if limits and at_limit[j] and joint.kind == "prismatic":
-            yield _row(bodies, levers, limit_axis[j])
-        elif limits and at_limit[j]:
-            yield _turn_row(bodies, limit_axis[j])
+
+
+def _support_rows(stage: RigidStage) -> Iterator[_Row]:
+    """What pushes and does not pull, as far as it bore a load in the last substep: contacts, joints' limits."""
+    joints = stage.joints.joints
+    at_limit, axis = joints.limit_impulse.numpy().any(axis=1), joints.limit_axis.numpy()
+    for j in np.flatnonzero(at_limit):
+        joint = stage.joints.scene_joints[j]
+        bodies = _bodies_of(joint)
+        if joint.kind == "prismatic":
+            yield _row(bodies, (joints.lever_a.numpy()[j], joints.lever_b.numpy()[j]), axis[j])
+        else:
+            yield _turn_row(bodies, axis[j])
+    for bodies, levers, normal in stage.contact.loaded():
+        yield _row(bodies, levers, normal)
+
+
+def _bodies_of(joint: Joint) -> tuple[int, int]:
+    return tuple(-1 if body is None else body for body in joint.bodies)
