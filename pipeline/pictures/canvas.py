@@ -83,7 +83,7 @@ class Canvas:
             self._plotter.add_light(light)
         self._shown = [_Shown(self._plotter, drawable, self._lights[0]) for drawable in drawables]
         if ground is not None:
-            casting = [d for d in drawables if d is not ground and not isinstance(d, Dots)]
+            casting = [drawable for drawable in drawables if drawable is not ground]
             self._shown += [_Shadow(self._plotter, drawable, ground, self._lights) for drawable in casting]
 
     def draw(self, code: float, view: View) -> np.ndarray:
@@ -207,11 +207,9 @@ class _Shown:
 
 
 class _Shadow:
-    """What surfaces and curves keep of the key light from a level ground: their outline along that light."""
+    """What a drawable keeps of the key light from a level ground: its outline along that light."""
 
-    def __init__(
-        self, plotter: Any, drawable: Shell | Changing | Lines, ground: Shell, lights: Sequence[np.ndarray]
-    ) -> None:
+    def __init__(self, plotter: Any, drawable: Drawable, ground: Shell, lights: Sequence[np.ndarray]) -> None:
         self._plotter, self._drawable, self._to_light = plotter, drawable, lights[0]
         self._up, self._height = np.zeros(3), 0.0
         code = ground.source.start
@@ -230,18 +228,39 @@ class _Shadow:
 
     def update(self, code: float, view: View, pixels_high: int) -> None:
         """Casts it as it is at `code`."""
+        points = self._drawable.points(code) if self._drawable.visible(code) else np.zeros((0, 3))
+        if self._mesh is not None:
+            self._actor.SetVisibility(bool(len(points)))
+        if not len(points) or (self._mesh is not None and not self._drawable.animated):
+            return
+        mesh = self._cast(points, code)
+        if self._mesh is not None:
+            self._mesh.copy_from(mesh)
+        else:
+            self._mesh = mesh
+            self._actor = self._plotter.add_mesh(
+                mesh,
+                color=self._colour,
+                lighting=False,
+                line_width=THINNEST,
+                render_points_as_spheres=True,
+                render=False,
+                reset_camera=False,
+            )
+        if isinstance(self._drawable, Dots):
+            pixels = self._drawable.width(code) / view.pixel_size(points, pixels_high)
+            self._actor.prop.point_size = max(pixels, 2.0 * FINER)
+
+    def _cast(self, points: np.ndarray, code: float) -> Any:
+        """Its faces, lines or dots, cast on the ground."""
         import pyvista
 
-        visible = self._drawable.visible(code)
-        if self._mesh is not None:
-            self._actor.SetVisibility(visible)
-        if not visible or (self._mesh is not None and not self._drawable.animated):
-            return
-        points = self._drawable.points(code)
         above = np.maximum(points @ self._up - self._height, 0.0) / float(self._to_light @ self._up)
         cast = points - above[:, None] * self._to_light
         cast += (self._height + self._lift - cast @ self._up)[:, None] * self._up
         mesh = pyvista.PolyData(cast.astype(np.float32))
+        if isinstance(self._drawable, Dots):
+            return mesh
         mesh.verts = np.zeros(0, np.int64)
         if isinstance(self._drawable, Shell):
             mesh.regular_faces = self._drawable.triangles
@@ -249,13 +268,7 @@ class _Shadow:
             mesh.regular_faces = self._drawable.triangles(code)
         else:
             mesh.lines = _polylines(self._drawable.counts(code))
-        if self._mesh is not None:
-            self._mesh.copy_from(mesh)
-            return
-        self._mesh = mesh
-        self._actor = self._plotter.add_mesh(
-            self._mesh, color=self._colour, lighting=False, line_width=THINNEST, render=False, reset_camera=False
-        )
+        return mesh
 
 
 def _unit(vector: Sequence[float]) -> np.ndarray:
