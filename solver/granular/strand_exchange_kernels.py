@@ -1,11 +1,11 @@
 """Nodes of granular matter against strands, which give way by the mass of their nodes."""
 
-from functools import cache, partial
+from functools import cache
 from types import SimpleNamespace
 
 import warp as wp
 
-from plait.solver.granular.exchange_kernels import ZERO, Moment, within_cone
+from plait.solver.granular.exchange_kernels import ZERO, within_cone
 from plait.solver.granular.types import granular_types
 from plait.solver.grid.transfer_kernels import STENCIL, Grid, gradient_of, node_before, value_at
 
@@ -25,7 +25,6 @@ class Strands:
     inverse_mass: wp.array(dtype=wp.float64)  # (node_count,) [1/kg] of all; 0: prescribed
     velocity: wp.array(dtype=wp.vec3d)  # (node_count,) [m/s] of all
     given: wp.array(dtype=wp.vec3d)  # (node_count,) [kg m/s] since the substep's start
-    expected: wp.array(dtype=wp.vec3d)  # what the velocity has in it already, spread over the substep
 
 
 @wp.struct
@@ -36,7 +35,6 @@ class Meetings:
     of_grains: wp.array(dtype=wp.int32)
     normal: wp.array(dtype=wp.vec3d)  # unit, out of the strands; zero within them
     friction: wp.array(dtype=wp.float64)
-    impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] on the strands, in a step
 
 
 @wp.kernel
@@ -68,14 +66,11 @@ def find_normals(first: int, grid: Grid, strands: Strands, meetings: Meetings):
 
 
 @wp.kernel
-def present_velocities(
-    first: int, strands: Strands, moment: wp.array(dtype=Moment), velocity_out: wp.array(dtype=wp.vec3d)
-):
-    """[m/s] of strands' nodes with what they have been given so far, beside what was expected."""
+def present_velocities(first: int, strands: Strands, velocity_out: wp.array(dtype=wp.vec3d)):
+    """[m/s] of strands' nodes with what they have been given so far."""
     k = first + wp.tid()
     p = strands.node[k]
-    change = strands.inverse_mass[p] * (strands.given[p] - moment[0].part * strands.expected[p])
-    velocity_out[k] = strands.velocity[p] + change
+    velocity_out[k] = strands.velocity[p] + strands.inverse_mass[p] * strands.given[p]
 
 
 @wp.kernel
@@ -88,48 +83,11 @@ def collect(first: int, grid: Grid, strands: Strands, change: wp.array(dtype=wp.
 
 @cache
 def strand_exchange_kernels(real: type) -> SimpleNamespace:
-    """Kernels for nodes of granular matter in `real` (wp.float32 or wp.float64).
-
-    `begin` once a step, then `exchange` once a pass; `collect` after each.
-    """
+    """The kernel `exchange` for nodes of granular matter in `real` (wp.float32 or wp.float64)."""
     module = f"plait_granular_strand_exchange_{real.__name__}"
     vec4 = granular_types(real).vec4
-    kernel, function = partial(wp.kernel, module=module, enable_backward=False), partial(wp.func, module=module)
 
-    @function
-    def give(
-        meetings: Meetings,
-        i: int,
-        change: wp.vec3d,
-        mass: wp.array(dtype=wp.float64),
-        velocity: wp.array(dtype=vec4),
-        change_out: wp.array(dtype=wp.vec3d),
-    ):
-        """An impulse [kg m/s] to the strands at a meeting, from the grains there."""
-        held = velocity[meetings.of_grains[i]]
-        lost = change / wp.float64(held[3])
-        velocity[meetings.of_grains[i]] = held - vec4(real(lost[0]), real(lost[1]), real(lost[2]), real(0.0))
-        change_out[meetings.of_strands[i]] = change / mass[meetings.of_strands[i]]
-
-    @kernel
-    def begin(
-        first: int,
-        meetings: Meetings,
-        moment: wp.array(dtype=Moment),
-        mass: wp.array(dtype=wp.float64),
-        velocity: wp.array(dtype=vec4),
-        change_out: wp.array(dtype=wp.vec3d),
-    ):
-        """Gives what meetings bore in the last step; one an item. change_out: [m/s] of the strands."""
-        i = first + wp.tid()
-        meetings.impulse[i] = moment[0].ratio * meetings.impulse[i]
-        change_out[meetings.of_strands[i]] = wp.vec3d()
-        if velocity[meetings.of_grains[i]][3] > real(0.0):
-            give(meetings, i, meetings.impulse[i], mass, velocity, change_out)
-        else:
-            meetings.impulse[i] = wp.vec3d()
-
-    @kernel
+    @wp.kernel(module=module, enable_backward=False)
     def exchange(
         first: int,
         meetings: Meetings,
@@ -138,19 +96,20 @@ def strand_exchange_kernels(real: type) -> SimpleNamespace:
         velocity: wp.array(dtype=vec4),
         change_out: wp.array(dtype=wp.vec3d),
     ):
-        """Towards inelastic collisions with Coulomb friction; one meeting an item. change_out: as of `begin`."""
+        """Inelastic collisions with Coulomb friction; one meeting an item. change_out: [m/s] of the strands."""
         i = first + wp.tid()
         of_strands = meetings.of_strands[i]
         held = velocity[meetings.of_grains[i]]
         change_out[of_strands] = wp.vec3d()
         if held[3] > real(0.0):
             v = wp.vec3d(wp.float64(held[0]), wp.float64(held[1]), wp.float64(held[2]))
-            inverse = wp.float64(1.0) / wp.float64(held[3]) + wp.float64(1.0) / mass[of_strands]
-            impulse = meetings.impulse[i] + (v - strand_velocity[of_strands]) / inverse
+            stopped = v - strand_velocity[of_strands]
             n = meetings.normal[i]
             if wp.dot(n, n) > ZERO:
-                impulse = within_cone(impulse, n, meetings.friction[i])
-            give(meetings, i, impulse - meetings.impulse[i], mass, velocity, change_out)
-            meetings.impulse[i] = impulse
+                stopped = within_cone(stopped, n, meetings.friction[i])
+            together = wp.float64(held[3]) + mass[of_strands]
+            lost = (mass[of_strands] / together) * stopped
+            velocity[meetings.of_grains[i]] = held - vec4(real(lost[0]), real(lost[1]), real(lost[2]), real(0.0))
+            change_out[of_strands] = (wp.float64(held[3]) / together) * stopped
 
-    return SimpleNamespace(begin=begin, exchange=exchange)
+    return SimpleNamespace(exchange=exchange)

@@ -47,7 +47,7 @@ def mobility(stage: RigidStage, bodies: np.ndarray, *, supports: bool = True) ->
 
 
 def supported(stage: RigidStage, bodies: np.ndarray) -> np.ndarray:
-    """(n,) bool: whether contacts or limits bore a load of `bodies` (n,), or of what is joined to them or touches."""
+    """(n,) bool: whether contacts or limits bore a load of `bodies` (n,), or of what is joined to them."""
     supports = list(_support_rows(stage))
     islands = _islands(len(stage.bodies), [*_joint_rows(stage), *supports])
     return np.isin(islands[bodies], [islands[row.bodies[0]] for row in supports])
