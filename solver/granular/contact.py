@@ -95,6 +95,11 @@ class GrainContact:
             exchange.act(self._moment, PASSES if self._past > 0.0 else FIRST_PASSES)
         self._past = length
 
+    def lead_out(self) -> None:
+        """After the particles have moved."""
+        if self._surfaces is not None:
+            self._surfaces.lead_out()
+
     def end_substep(self) -> None:
         for exchange in self._exchanges.values():
             exchange.end_substep()

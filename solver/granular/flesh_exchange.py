@@ -25,6 +25,8 @@ def build(model: Model, state: State, matter: Matter, surfaces: NearSurfaces, re
 class FleshExchange:
     """An `Exchange` with elastic bodies, whose skins give way by the mass of the nodes about the contact.
 
+    And by that of what is behind these, as far as stresses reach in a substep of the implicit solve.
+
     What stresses took up of the last substep's impulses they are expected to take up again (`Expectation`): a skin
     gives way by the difference alone, so that a pile at rest on it stays at rest.
     """
@@ -37,13 +39,11 @@ class FleshExchange:
         inverse_mass = wp.array(np.where(layout.pinned, 0.0, 1.0 / layout.mass), dtype=wp.float64, device=device)
         self._bears = bears = Expectation(inverse_mass, model.scene.gravity, self._launcher, state, "flesh")
         self._nodes = Nodes()
-        self._nodes.inverse_mass, self._nodes.given, self._nodes.expected = (
-            inverse_mass,
-            bears.given,
-            bears.expected,
-        )
+        self._nodes.inverse_mass = wp.clone(inverse_mass)
+        self._nodes.given, self._nodes.expected = bears.given, bears.expected
         self.speed = 0.0
         self._hold_corners(surfaces)
+        self._hold_stiffness()
         self.begin_frame()
 
     def _hold_corners(self, surfaces: NearSurfaces) -> None:
@@ -61,8 +61,29 @@ class FleshExchange:
     def begin_frame(self) -> None:
         self._memory, self._count = Memory(), 0
 
+    def _hold_stiffness(self) -> None:
+        """Of each node K / M [1/s2] of its tets, and the most times its mass that may answer: all of its body."""
+        layout, flat = self._tets.layout, np.concatenate
+        ratio = flat([np.asarray(body.poissons_ratio) for body in layout.bodies])
+        modulus = flat([np.asarray(body.youngs_modulus) for body in layout.bodies])
+        modulus = modulus * (1.0 - ratio) / ((1.0 + ratio) * (1.0 - 2.0 * ratio))
+        density = flat([np.broadcast_to(body.density, len(body.tets)) for body in layout.bodies])
+        corners = layout.tets.ravel()
+        rate = np.bincount(corners, np.repeat(modulus / density, 4)) / np.bincount(corners)
+        self._rate, self._most = rate, np.full(layout.node_count, np.inf)
+        for b in range(layout.body_count):
+            nodes = layout.nodes(b)
+            rate[nodes] /= layout.edge[b] ** 2
+            if not layout.pinned[nodes].any():
+                skin = np.unique(layout.skin_nodes(b))
+                self._most[nodes] = layout.mass[nodes].sum() / layout.mass[skin].sum()
+
     def begin_substep(self, substep: Interval) -> None:
         self.speed = self._surfaces.speed("flesh")
+        # Of a chain of masses with springs between, implicit in time, the first answers as so many of it.
+        heavier = 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * self._rate * substep.length**2))
+        inverse_mass = self._bears.inverse_mass.numpy() / np.minimum(heavier, self._most)
+        self._nodes.inverse_mass.assign(inverse_mass)
         self._bears.begin_substep(self._tets.velocity, substep.length)
 
     def find(self, since: float) -> None:

@@ -43,7 +43,7 @@ class Touched:
 class Nodes:
     """All nodes of tets."""
 
-    inverse_mass: wp.array(dtype=wp.float64)  # [1/kg]; 0: pinned
+    inverse_mass: wp.array(dtype=wp.float64)  # [1/kg] with what answers with it; 0: pinned
     given: wp.array(dtype=wp.vec3d)  # [kg m/s] since the substep's start
     expected: wp.array(dtype=wp.vec3d)  # what the skin's velocity has in it already, spread over the substep
 

@@ -10,6 +10,7 @@ import warp as wp
 from plait.solver.granular.block_grid import BlockGrid
 from plait.solver.granular.energy_kernels import energy_kernels
 from plait.solver.granular.laws import LAWS
+from plait.solver.granular.lead_kernels import lead_kernels
 from plait.solver.granular.material import set_material
 from plait.solver.granular.middle_kernels import middle_kernels
 from plait.solver.granular.transfer_kernels import LOST, transfer_kernels
@@ -135,6 +136,16 @@ class Matter:
         self.speed, self.sound = self._speeds.numpy().max(axis=0).tolist()
         self._drift += self.speed * self._step.length / grid.cell_size
         return self.speed < LOST
+
+    def lead_out(self, speed: wp.array, fastest: float, blocks: wp.array) -> None:
+        """Moves the particles of some blocks of cells, (n,) int32, on for the step, their velocities untouched.
+
+        After `to_particles`. speed: (node_count,) vec3d [m/s] of the nodes, none above `fastest`.
+        """
+        inputs = [blocks, self.grid.data, self._step.cells, self._step.length, speed]
+        kernel = lead_kernels(self._real).lead_out
+        self._launcher.launch(kernel, len(blocks), inputs, [self.particles], work_per_item=4 * self._work)
+        self._drift += fastest * self._step.length / self.grid.cell_size
 
     def energies(self) -> tuple[float, float, float]:
         """[J] of motion, of strain, and in gravity, of which the zero is at the scene's origin."""

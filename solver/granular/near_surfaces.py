@@ -19,6 +19,8 @@ from plait.solver.model import Interval, Model
 REACH = 3.0
 # Nodes above a surface take part that are no further [cells] from it: the nearest always is among them.
 NEAREST = 0.5
+# What is deeper behind a surface than this part of a cell is led out, within so many substeps.
+SUNK, SETTLING = 0.1, 2.0
 # Cost in units of `Launcher.launch`.
 QUERY_WORK = 60
 
@@ -73,7 +75,9 @@ class NearSurfaces:
                 for surface in model.scene.surfaces
             ]
         )
+        self._exit_speed = model.settings.contact.exit_speed
         self.near: list[Collider] = []
+        self._led: tuple[wp.array, float, wp.array] | None = None
         self._rim = self._find_rims()
 
     def begin_substep(self, substep: Interval, margin: float) -> bool:
@@ -101,10 +105,12 @@ class NearSurfaces:
     def find(self, since: float) -> None:
         """Fills `found`, so long [s] after the substep's start."""
         self._middles: np.ndarray | None = None
+        self._sunk: list[tuple[np.ndarray, np.ndarray]] = []
         every = [self._find_on(collider, since) for collider in self.near]
         columns = [np.concatenate(x) for x in zip(*every, strict=True)] if every else _nothing()
         order = np.argsort(columns[0], kind="stable")
         self.found = Found(*(column[order] for column in columns))
+        self._gather_sunk()
 
     def carried(self, by: str | None) -> Found:
         """Of `found`, what is on surfaces that 'flesh' or a 'rigid' body carries, or none (None)."""
@@ -126,21 +132,57 @@ class NearSurfaces:
         height = height - collider.surface.thickness - float(AT_SURFACE) * size
         now = height - since * approach
         behind = height - self._substep.length * np.maximum(approach, 0.0) <= 0.0
-        above = np.flatnonzero(~behind & (now < NEAREST * size))
-        if len(above):
-            middle = np.einsum("na,na->n", normal[above], self._middle_of(node[above]))
-            height[above] = now[above] + middle - size * filled_height(now[above] / size)
-        by_matter = np.zeros(len(node), dtype=bool)
-        by_matter[above] = np.isfinite(height[above])
+        of_matter = self._heights_of_matter(now, node, normal, collider)
+        by_matter = ~behind & np.isfinite(of_matter)
+        height = np.where(by_matter, of_matter, height)
+        self._note_sunk(node, normal, of_matter)
         surface = np.full(len(node), collider.index)
         columns = (node, surface, height, by_matter, normal, velocity, self._friction[surface], triangle, weights)
         return tuple(column[behind | by_matter] for column in columns)
 
-    def _middle_of(self, nodes: np.ndarray) -> np.ndarray:
-        """(n, 3) [m] from each node to the middle of its matter; not a number where it has none."""
-        if self._middles is None:
+    def _heights_of_matter(
+        self, height: np.ndarray, node: np.ndarray, normal: np.ndarray, collider: Collider
+    ) -> np.ndarray:
+        """(n,) [m] how far the matter at nodes is above where it would lie if it filled all above the surface.
+
+        Not a number where there is none, and for nodes of which nobody asks: those further above the surface, and,
+        of surfaces that stay where they are, those behind it if all nodes are.
+        """
+        of_matter = np.full(len(node), np.nan)
+        asked = np.flatnonzero(height < NEAREST * self._matter.grid.cell_size)
+        if not collider.moves and not (height[asked] > 0.0).any():
+            return of_matter
+        if self._middles is None and len(asked):
             self._middles = self._matter.middles()
-        return self._middles[nodes]
+        if len(asked):
+            size = self._matter.grid.cell_size
+            middle = np.einsum("na,na->n", normal[asked], self._middles[node[asked]])
+            of_matter[asked] = height[asked] + middle - size * filled_height(height[asked] / size)
+        return of_matter
+
+    def _note_sunk(self, node: np.ndarray, normal: np.ndarray, of_matter: np.ndarray) -> None:
+        """Nodes whose matter is to be led out, and how fast."""
+        depth = -of_matter - SUNK * self._matter.grid.cell_size
+        sunk = np.flatnonzero(depth > 0.0)
+        speed = np.minimum(depth[sunk] / (SETTLING * self._substep.length), self._exit_speed)
+        self._sunk.append((node[sunk], speed[:, None] * normal[sunk]))
+
+    def _gather_sunk(self) -> None:
+        nodes, speeds = (np.concatenate(x) for x in zip(*self._sunk, strict=True)) if self._sunk else ((), ())
+        self._led = None
+        if not len(nodes):
+            return
+        grid, device = self._matter.grid, self._launcher.device
+        speed = np.zeros((grid.node_block_count * BLOCK_NODES, 3))
+        speed[nodes] = speeds
+        chosen = np.isin(grid.data.corner.numpy(), np.unique(nodes // BLOCK_NODES)).any(axis=1)
+        blocks = wp.array(np.flatnonzero(chosen).astype(np.int32), dtype=wp.int32, device=device)
+        self._led = wp.array(speed, dtype=wp.vec3d, device=device), float(np.abs(speeds).max()), blocks
+
+    def lead_out(self) -> None:
+        """After the particles have moved: what lies behind a surface goes out of it a little."""
+        if self._led is not None:
+            self._matter.lead_out(*self._led)
 
     def _measure(self, collider: Collider) -> tuple[np.ndarray, ...]:
         """Nodes near a surface, and of each what `find_depths` tells."""
@@ -184,11 +226,12 @@ class NearSurfaces:
 def filled_height(height: np.ndarray) -> np.ndarray:
     """Of the matter that a node carries, (n,) [cells] above a plane, when it fills all above it evenly.
 
-    height: (n,) of the node, 0 to 1/2. With B the quadratic B-spline, h + int z B / int B over z > -h.
+    height: (n,) of the node, up to 1/2. With B the quadratic B-spline, h + int z B / int B over z > -h.
     """
-    h = height
+    h = np.maximum(height, -0.5)
     weight = 0.5 + 0.75 * h - h**3 / 3.0
-    return h + (13.0 / 64.0 - 0.375 * h**2 + 0.25 * h**4) / weight
+    about = h + (13.0 / 64.0 - 0.375 * h**2 + 0.25 * h**4) / weight
+    return np.where(height > -0.5, about, 0.25 * np.maximum(1.5 + height, 0.0))
 
 
 def _carrier(collider: Collider) -> str | None:

@@ -124,6 +124,7 @@ class GranularStage:
         self.contact.act(time, length)
         if not matter.to_particles():
             raise Diverged("velocity", self._where_lost(), time + length)
+        self.contact.lead_out()
         self._steps += 1
 
     def _pour(self, substep: Interval) -> None:

@@ -19,6 +19,7 @@ from plait.solver.granular.energy_kernels import energy_kernels
 from plait.solver.granular.exchange_kernels import follow_kernels
 from plait.solver.granular.flesh_exchange_kernels import flesh_exchange_kernels
 from plait.solver.granular.laws import LAWS as GRANULAR_LAWS
+from plait.solver.granular.lead_kernels import lead_kernels
 from plait.solver.granular.middle_kernels import middle_kernels
 from plait.solver.granular.rigid_exchange_kernels import rigid_exchange_kernels
 from plait.solver.granular.strand_exchange_kernels import strand_exchange_kernels
@@ -49,6 +50,7 @@ MADE = (
     explicit_kernels,
     flesh_exchange_kernels,
     follow_kernels,
+    lead_kernels,
     middle_kernels,
     rigid_exchange_kernels,
     skin_kernels,

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plait.solver.scene import Joint, Scene, StaticMotion
+from plait.pipeline.tetrahedra.skin import Inside
+from plait.solver.scene import Emitter, Granular, Joint, Scene, StaticMotion
+from plait.solver.settings import GranularSettings
 
 from ..contact.soft_scenes import floor
 from ..tets.lattices import box_body, placed
@@ -110,6 +112,35 @@ def test_a_pile_rests_on_a_box_that_rests_on_a_floor(density):
         given.append(scene.parts["rigid"].impulse.numpy()[0, 1])
     assert -np.mean(given) == pytest.approx(scene.grains.mass * GRAVITY * FRAME / 4, rel=0.01)
     np.testing.assert_allclose(scene.parts["rigid"].position.numpy()[0], [0.0, 0.2, 0.0], atol=1e-4)
+
+
+@pytest.mark.parametrize("modulus", [pytest.param(3e3, marks=pytest.mark.slow), 5e4])
+def test_a_stream_does_not_get_under_a_skin(modulus):
+    """Poured on a jelly, soft or stiff for its mass and the substep: no grain deeper than a quarter of a cell."""
+    jelly, skin = box_body((0.2, 0.1, 0.2), (8, 4, 8), youngs_modulus=modulus, mass_damping=1.0)
+    jelly = replace(jelly, pinned=jelly.nodes[:, 1] < -0.049)
+    size, none = 0.006, np.zeros((0, 3))
+    pours = Emitter(
+        rate=2250.0,
+        limit=4500,
+        lower=np.array([-0.03, 0.15, -0.03]),
+        upper=np.array([0.03, 0.16, 0.03]),
+        velocity=np.array([0.0, -1.0, 0.0]),
+        volume=size**3,
+        width=size,
+    )
+    sand = Granular("sand", "sand", none, none, np.zeros(0), np.zeros(0), np.zeros(0, np.int64), emitter=pours)
+    settings = {"substeps": 8, "granular": GranularSettings(cell_size=2 * size)}
+    scene = Coupled(Scene(surfaces=(skin,), bodies=(jelly,), granular=(sand,)), **settings)
+    for _ in range(12):
+        scene.run()
+        colliders = scene.parts["kinematics"].colliders
+        points = colliders.points[scene.parts["kinematics"].end].numpy()
+        places = scene.parts["granular"].grains(0).positions
+        distance, _ = Inside(points, colliders.triangles.numpy()).query(places)
+        assert distance.min() > -0.25 * 2 * size
+    above = (np.abs(places[:, [0, 2]]) < 0.1).all(axis=1)
+    assert above.sum() > 300
 
 
 def test_nothing_pulls():
