@@ -14,7 +14,7 @@ from plait.solver.contact.geometry_kernels import (
 )
 from plait.solver.contact.meeting_kernels import to_float
 from plait.solver.granular.exchange_kernels import Heights, Moment, touches
-from plait.solver.granular.types import BLOCK, BLOCK_NODES, granular_types
+from plait.solver.granular.types import granular_types
 
 wp.set_module_options({"enable_backward": False})
 
@@ -40,9 +40,8 @@ class MovingSurface:
 def find_depths(
     first: int,
     surface: MovingSurface,
-    chosen: wp.array(dtype=wp.int32),
-    node_origin: wp.array(dtype=wp.vec3i),
-    cell_size: wp.float64,
+    points: wp.array(dtype=wp.vec3d),
+    rounding: wp.float64,
     reach: wp.float64,
     height_out: wp.array(dtype=wp.float64),
     normal_out: wp.array(dtype=wp.vec3d),
@@ -50,16 +49,13 @@ def find_depths(
     triangle_out: wp.array(dtype=wp.int32),
     weights_out: wp.array(dtype=wp.vec3d),
 ):
-    """Signed distance [m] of nodes to a surface, its normal there and its velocity [m/s], and where on it that is.
+    """Signed distance [m] of points to a surface, its normal there, velocity [m/s], and where on it that is.
 
-    Of the blocks of nodes `chosen`, one node an item. APART where the surface is further than `reach`, and beside
-    its open border, where nothing is behind it.
+    One point an item. APART where the surface is further than `reach`, and beside its open border, where nothing
+    is behind it. rounding: [m] a point this near takes its normal from the triangle.
     """
     item = first + wp.tid()
-    block = chosen[item / BLOCK_NODES]
-    n = item % BLOCK_NODES
-    node = node_origin[block] + wp.vec3i(n / (BLOCK * BLOCK), (n / BLOCK) % BLOCK, n % BLOCK)
-    x = cell_size * wp.vec3d(wp.float64(node[0]), wp.float64(node[1]), wp.float64(node[2]))
+    x = points[item]
     height_out[item] = APART
     query = wp.mesh_query_point_sign_normal(surface.mesh, to_float(x), float(reach))
     if query.result:
@@ -71,7 +67,7 @@ def find_depths(
         behind = query.sign < 0.0
         if not behind or (surface.rim[index] >> nearest.feature) & 1 == 0:
             normal = unit_normal(triangle)
-            if distance > AT_SURFACE * cell_size:
+            if distance > rounding:
                 normal = (x - place) / distance
                 if behind:
                     normal = -normal

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from plait.solver.contact.bodies import rim_features
-from plait.solver.granular.contact_kernels import AT_SURFACE, MovingSurface, find_depths
+from plait.solver.granular.contact_kernels import APART, AT_SURFACE, MovingSurface, find_depths
 from plait.solver.granular.exchange_kernels import Heights
 from plait.solver.granular.matter import Matter
 from plait.solver.granular.types import BLOCK, BLOCK_NODES
@@ -126,39 +126,70 @@ class NearSurfaces:
         would sink until those behind it feel enough of its weight.
         """
         size = self._matter.grid.cell_size
-        node, height, normal, velocity, triangle, weights = self._measure(collider)
+        node, held = self._nodes_near(collider)
+        of_matter = self._face_matter(collider, node, held)
+        height, normal, velocity, triangle, weights = held
         approach = np.einsum("na,na->n", velocity, normal)
-        # A node on the surface, but for rounding, is behind it.
-        height = height - collider.surface.thickness - float(AT_SURFACE) * size
-        now = height - since * approach
+        # Both are distances at the substep's start.
         behind = height - self._substep.length * np.maximum(approach, 0.0) <= 0.0
-        of_matter = self._heights_of_matter(now, node, normal, collider)
-        by_matter = ~behind & np.isfinite(of_matter)
+        now, of_matter = height - since * approach, of_matter - since * approach
+        of_matter -= size * filled_height(now / size)
+        by_matter = ~behind & np.isfinite(of_matter) & (now < NEAREST * size)
         height = np.where(by_matter, of_matter, height)
         self._note_sunk(node, normal, of_matter)
         surface = np.full(len(node), collider.index)
         columns = (node, surface, height, by_matter, normal, velocity, self._friction[surface], triangle, weights)
         return tuple(column[behind | by_matter] for column in columns)
 
-    def _heights_of_matter(
-        self, height: np.ndarray, node: np.ndarray, normal: np.ndarray, collider: Collider
-    ) -> np.ndarray:
-        """(n,) [m] how far the matter at nodes is above where it would lie if it filled all above the surface.
+    def _nodes_near(self, collider: Collider) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Nodes behind a surface, or less than half a cell above it or what it sweeps; what `_measure` tells."""
+        grid = self._matter.grid
+        ends = np.concatenate(self._ends(collider))
+        origin = grid.data.node_origin.numpy()[: grid.node_block_count]
+        margin = REACH * grid.cell_size + collider.surface.thickness
+        lower, upper = origin * grid.cell_size, (origin + BLOCK - 1) * grid.cell_size
+        touched = (lower <= ends.max(axis=0) + margin) & (upper >= ends.min(axis=0) - margin)
+        chosen = np.flatnonzero(touched.all(axis=1))
+        node = (chosen[:, None] * BLOCK_NODES + np.arange(BLOCK_NODES)).ravel()
+        held = self._measure(collider, grid.node_cells(node) * grid.cell_size)
+        swept = self._substep.length * np.maximum(np.einsum("na,na->n", held[2], held[1]), 0.0)
+        near = held[0] - swept < NEAREST * grid.cell_size
+        return node[near], [column[near] for column in held]
 
-        Not a number where there is none, and for nodes of which nobody asks: those further above the surface, and,
-        of surfaces that stay where they are, those behind it if all nodes are.
+    def _face_matter(self, collider: Collider, node: np.ndarray, held: list[np.ndarray]) -> np.ndarray:
+        """(n,) [m] how far the middle of the matter at nodes is above the surface; not a number without any.
+
+        `held`, of the nodes, is made that of the face that the matter has before it: behind the foot of a wall the
+        nearest may be a hidden one. Of a sheet that stays where it is, with no node before it, nothing is asked.
         """
-        of_matter = np.full(len(node), np.nan)
-        asked = np.flatnonzero(height < NEAREST * self._matter.grid.cell_size)
-        if not collider.moves and not (height[asked] > 0.0).any():
-            return of_matter
-        if self._middles is None and len(asked):
+        apart = np.full(len(node), np.nan)
+        if not len(node) or not (collider.moves or collider.closed or (held[0] > 0.0).any()):
+            return apart
+        if self._middles is None:
             self._middles = self._matter.middles()
-        if len(asked):
-            size = self._matter.grid.cell_size
-            middle = np.einsum("na,na->n", normal[asked], self._middles[node[asked]])
-            of_matter[asked] = height[asked] + middle - size * filled_height(height[asked] / size)
-        return of_matter
+        middle, grid = self._middles[node], self._matter.grid
+        own = np.flatnonzero(np.isfinite(middle[:, 0]))
+        at = self._measure(collider, grid.node_cells(node[own]) * grid.cell_size + middle[own])
+        faced = at[0] < float(APART)
+        own, at = own[faced], [column[faced] for column in at]
+        apart[own] = at[0]
+        at[0] = at[0] - np.einsum("na,na->n", at[1], middle[own])
+        for column, new in zip(held, at, strict=True):
+            column[own] = new
+        return apart
+
+    def _measure(self, collider: Collider, points: np.ndarray) -> list[np.ndarray]:
+        """Of (n, 3) points [m] at the substep's start height, normal, velocity, triangle and weights there."""
+        device, size = self._launcher.device, self._matter.grid.cell_size
+        rounding, margin = float(AT_SURFACE) * size, REACH * size + collider.surface.thickness
+        dtypes = (wp.float64, wp.vec3d, wp.vec3d, wp.int32, wp.vec3d)
+        outputs = [wp.zeros(len(points), dtype=dtype, device=device) for dtype in dtypes]
+        inputs = [self._posed(collider), wp.array(points, dtype=wp.vec3d, device=device), rounding, margin]
+        self._launcher.launch(find_depths, len(points), inputs, outputs, work_per_item=QUERY_WORK)
+        told = [output.numpy() for output in outputs]
+        # A point on the surface, but for rounding, is behind it.
+        told[0] = np.where(told[0] < float(APART), told[0] - collider.surface.thickness - rounding, told[0])
+        return told
 
     def _note_sunk(self, node: np.ndarray, normal: np.ndarray, of_matter: np.ndarray) -> None:
         """Nodes whose matter is to be led out, and how fast."""
@@ -183,24 +214,6 @@ class NearSurfaces:
         """After the particles have moved: what lies behind a surface goes out of it a little."""
         if self._led is not None:
             self._matter.lead_out(*self._led)
-
-    def _measure(self, collider: Collider) -> tuple[np.ndarray, ...]:
-        """Nodes near a surface, and of each what `find_depths` tells."""
-        grid, device = self._matter.grid, self._launcher.device
-        ends = np.concatenate(self._ends(collider))
-        origin = grid.data.node_origin.numpy()[: grid.node_block_count]
-        margin = REACH * grid.cell_size + collider.surface.thickness
-        lower, upper = origin * grid.cell_size, (origin + BLOCK - 1) * grid.cell_size
-        touched = (lower <= ends.max(axis=0) + margin) & (upper >= ends.min(axis=0) - margin)
-        chosen = np.flatnonzero(touched.all(axis=1))
-        count = len(chosen) * BLOCK_NODES
-        dtypes = (wp.float64, wp.vec3d, wp.vec3d, wp.int32, wp.vec3d)
-        outputs = [wp.zeros(count, dtype=dtype, device=device) for dtype in dtypes]
-        inputs = [self._posed(collider), wp.array(chosen.astype(np.int32), dtype=wp.int32, device=device)]
-        inputs += [grid.data.node_origin, grid.cell_size, margin]
-        self._launcher.launch(find_depths, count, inputs, outputs, work_per_item=QUERY_WORK)
-        node = (chosen[:, None] * BLOCK_NODES + np.arange(BLOCK_NODES)).ravel()
-        return node, *(output.numpy() for output in outputs)
 
     def _find_rims(self) -> wp.array:
         """(triangle_count,) bits of the features of each triangle that lie on an open border."""

@@ -10,6 +10,7 @@ import pytest
 from plait.solver.diagnostics import Diverged
 from plait.solver.scene import Emitter, Granular, KeyedMotion, Scene, Surface
 
+from ..contact.soft_scenes import solid_box
 from .heaps import CELL, FRAME, granular, lattice, plate, run, simulated
 
 SOFT = {"youngs_modulus": 2e4, "density": 1000.0}
@@ -241,3 +242,15 @@ def test_what_is_not_finite_is_told():
     sand = replace(heap(lattice((3, 3, 3))), velocities=velocities)
     with pytest.raises(Diverged, match="heap particle"):
         run(simulated(Scene(granular=(sand,))), 1)
+
+
+def test_stays_out_of_a_wall_that_stands_on_the_floor():
+    """Its foot has its hidden face nearest, in the floor: still no grain of a heap goes a quarter cell into it."""
+    wall = solid_box("wall", (1.0, 2.0, 2.0), centre=(-0.5, 1.0, 0.0))
+    scene = Scene(surfaces=(plate(5.0), wall), granular=(heap(lattice((4, 5, 4), (0.0, 0.0, -0.2))),))
+    simulation = simulated(scene)
+    for _ in range(4):
+        run(simulation, 6)
+        grains = simulation.model.parts["granular"].grains(0).positions
+        beside = np.abs(grains[:, 2]) < 1.0
+        assert grains[beside, 0].min() > -0.25 * CELL
