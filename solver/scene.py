@@ -212,9 +212,10 @@ class RigidBody:
         their rest points lie in one space, the body's rest space. Friction is told by each surface.
     mass: [kg].  center_of_mass: (3,) float64 [m], in rest space.
     inertia: (3, 3) float64 [kg m2], about the centre of mass, along the axes of rest space.
-    motion: rest space to world, rigid, of which only the pose at the start counts.
-    velocity: (3,) float64 [m/s], of the centre of mass, and angular_velocity: (3,) float64 [rad/s], world, at the
-        start.
+    motion: rest space to world, rigid; it says where the body is until `Scene.rigid_start`, or at the start of the
+        simulation where that is later.
+    velocity: (3,) float64 [m/s], of the centre of mass, and angular_velocity: (3,) float64 [rad/s], world, with
+        which it is then released.
     restitution: of its impacts, 0 to 1; of a pair the larger counts.
     """
 
@@ -415,6 +416,7 @@ class Scene:
     gravity: (3,) float64 [m/s2], world.  origin: (3,) float64 [m]: shot world = scene world + origin.
     filtered: pairs of indices into `surfaces`, at least one carried by a rigid body, that do not touch each other.
     granular_start: [s] until which granular matter stays as given, and none is poured in; to the nearest substep.
+    rigid_start: [s] until which rigid bodies go where their motions take them; to the nearest substep.
     """
 
     surfaces: tuple[Surface, ...] = ()
@@ -428,3 +430,4 @@ class Scene:
     filtered: tuple[tuple[int, int], ...] = ()
     granular: tuple[Granular, ...] = ()
     granular_start: float = -np.inf
+    rigid_start: float = -np.inf

@@ -7,7 +7,7 @@ shear lies above is in the rest points, and a pose is a rotation and a translati
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics
@@ -15,7 +15,7 @@ from pxr import Usd, UsdGeom, UsdPhysics
 from plait.pipeline.config import Config
 from plait.pipeline.read import parameters
 from plait.pipeline.read.masses import Part, read_mass
-from plait.pipeline.read.motions import WorldToLocal
+from plait.pipeline.read.motions import Placement, WorldToLocal
 from plait.pipeline.read.parameter_table import RIGID
 from plait.pipeline.read.roles import Role
 from plait.pipeline.read.solids import solid_shape
@@ -23,7 +23,26 @@ from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Bodies, Body
 from plait.pipeline.read.turns import rotation_of
 from plait.pipeline.shot import TransformOutput
-from plait.solver.scene import RigidBody, StaticMotion, Surface
+from plait.solver.scene import Motion, Pose, RigidBody, Surface
+
+
+@dataclass
+class HeldMotion:
+    """Where the animation has a body until it is released: rest space to world, rigid."""
+
+    source: Source
+    placement: Placement
+
+    @property
+    def animated(self) -> bool:
+        return self.placement.animated
+
+    def pose(self, time: float) -> Pose:
+        """What changes the body's shape after the first frame plays no part."""
+        matrix = self.placement.metric(self.source.code(time))
+        linear = matrix[:3, :3] @ np.linalg.inv(self.placement.at_start[:3, :3])
+        matrix[:3, :3] = rotation_of(linear) if self.animated else np.eye(3)
+        return Pose(matrix[None])
 
 
 class Props:
@@ -85,15 +104,18 @@ class Props:
 
     def _carry(self) -> None:
         for index, path in enumerate(self.paths):
-            place = self.placement(path)[:3, 3]
-            held = self._parts[path]
+            held, motion = self._parts[path], self._motion(path)
             for k, part in enumerate(held):
-                held[k] = replace(part, body=self._carried(part, index, place))
+                held[k] = replace(part, body=self._carried(part, index, motion))
                 self._surfaces.replace(held[k].body)
 
-    def _carried(self, part: Part, index: int, place: np.ndarray) -> Body:
-        """The part's surface in the rest space of the body whose prim has its origin at `place` [m]."""
+    def _motion(self, path: str) -> HeldMotion:
+        return HeldMotion(self._source, Placement(self._source, self._prim(path)))
+
+    def _carried(self, part: Part, index: int, motion: Motion) -> Body:
+        """The part's surface in the rest space of its body."""
         body, given = part.body, part.given
+        place = self.placement(self.paths[index])[:3, 3]
         points = body.posed - place
         own_to_rest = self.placement(body.path)
         own_to_rest[:3, 3] -= place
@@ -103,7 +125,7 @@ class Props:
             body.surface,
             points=points,
             triangles=_outward(points, body.surface.triangles),
-            motion=StaticMotion(to_world),
+            motion=motion,
             thickness=given["clearance"],
             friction=given["friction"] if "friction" in given else None,
             rigid=index,
@@ -116,8 +138,6 @@ class Props:
     def _rigid_body(self, index: int, path: str, surfaces: Sequence[Surface]) -> RigidBody:
         prim, parts = self._prim(path), self._parts[path]
         mass = read_mass(self._source, prim, parts, self.rest(path))
-        to_world = np.eye(4)
-        to_world[:3, 3] = self.placement(path)[:3, 3]
         linear, angular = self._velocities(prim)
         return RigidBody(
             name=path,
@@ -125,14 +145,18 @@ class Props:
             mass=mass.mass,
             center_of_mass=mass.center,
             inertia=mass.inertia,
-            motion=StaticMotion(to_world),
+            motion=self._motion(path),
             velocity=linear,
             angular_velocity=angular,
             restitution=max((part.given["restitution"] for part in parts), default=0.0),
         )
 
     def _velocities(self, prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray]:
-        """[m/s], and [rad/s] from degrees; world, from the space that the prim's transform is in."""
+        """(3,) [m/s] and (3,) [rad/s], world.
+
+        UsdPhysicsRigidBodyAPI has them "in the same space as the node's xform": that of the prim's parent, which
+        may turn and scale; in stage units and degrees a second. A scale changes no turning.
+        """
         source, body = self._source, UsdPhysics.RigidBodyAPI(prim)
         if body.GetStartsAsleepAttr().Get(source.start):
             source.warn("is ignored: bodies start awake", prim, "physics:startsAsleep")

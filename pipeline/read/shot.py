@@ -88,6 +88,7 @@ class _Reader:
             filtered=read_filtered(self.source, surfaces),
             granular=heaps.granular,
             granular_start=heaps.start,
+            rigid_start=heaps.start,
         )
         tell_of_skipped(self.source, self.roles)
         reports = tuple(self._report(role, carrying, grooms, tissues, heaps) for role in self.roles)

@@ -83,6 +83,16 @@ def test_the_first_frame_is_as_drawn(result: tuple[Path, Path]) -> None:
         np.testing.assert_allclose(_world(out, prim, 1), _world(shot, prim, 1), atol=1e-4)
 
 
+def test_they_do_not_fall_in_the_preroll(result: tuple[Path, Path], tmp_path: Path) -> None:
+    """Held where they are drawn until the first frame: what follows is the same to the bit with a pre-roll."""
+    shot, without = result
+    out = tmp_path / "out.usda"
+    assert _sim(shot, out, "--preroll", "3") == EXIT_DONE
+    for prim in (BALL, BRICK):
+        for code in range(1, FRAMES + 1):
+            np.testing.assert_array_equal(_world(out, prim, code), _world(without, prim, code))
+
+
 def test_bodies_fall_in_the_world_not_with_their_group(result: tuple[Path, Path]) -> None:
     """x = x0 + g t^2 / 2, which any step of a rigid body's exact free flight gives."""
     shot, out = result
