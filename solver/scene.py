@@ -21,7 +21,7 @@ RestShape = Literal["sagfree", "authored"]
 SkinningMethod = Literal["linear", "dual-quaternion"]
 ElasticLaw = Literal["fixed-corotated", "neo-hookean", "stvk"]
 ShapeKind = Literal["sphere", "capsule", "cylinder", "cone", "box"]
-JointKind = Literal["fixed", "revolute", "spherical", "prismatic"]
+JointKind = Literal["fixed", "revolute", "spherical", "prismatic", "distance"]
 GranularLaw = Literal["sand", "snow"]
 
 
@@ -231,15 +231,33 @@ class RigidBody:
 
 
 @dataclass(frozen=True)
+class Drive:
+    """Draws a joint to a target: the force is stiffness (target - x) + damping (target_velocity - v).
+
+    x: what the joint leaves free, as in `Joint.limits`: [rad] or [m], and so are the targets [rad/s], [m/s].
+    stiffness [N m/rad] or [N/m].  damping [N m s/rad] or [N s/m].  most: the force is no larger [N m] or [N].
+    per_inertia: all three are for an inertia of one that is moved, and multiplied by that which is.
+    """
+
+    stiffness: float = 0.0
+    damping: float = 0.0
+    target: float = 0.0
+    target_velocity: float = 0.0
+    most: float = np.inf
+    per_inertia: bool = False
+
+
+@dataclass(frozen=True)
 class Joint:
     """Holds two rigid bodies to each other, or one to a place.
 
     bodies: indices into `Scene.rigid_bodies`; None for the world, at most once.
     frames: of each side the joint's frame, (4, 4) float64, rigid, in that body's rest space; for the world in that
         of `motion`. What is held together: of 'fixed' the whole frames; of 'revolute' origins and z axes, turning
-        about z; of 'spherical' origins; of 'prismatic' all but the way along z.
+        about z; of 'spherical' origins; of 'prismatic' all but the way along z; of 'distance' nothing.
     limits: lower and upper, of the second frame against the first: of 'revolute' the turn about z, within half a
-        turn [rad]; of 'prismatic' the way along z [m]. None: no limits.
+        turn [rad]; of 'prismatic' the way along z, of 'distance' that between the origins [m]. None: no limits.
+    drive: of 'revolute' and 'prismatic'.
     cone: of 'spherical', how far the second z axis may lean from the first [rad], above 0; None: any way.
     motion: carries the world's frame.
     collide: whether the two bodies touch each other besides.
@@ -251,6 +269,7 @@ class Joint:
     frames: tuple[np.ndarray, np.ndarray]
     limits: tuple[float, float] | None = None
     cone: float | None = None
+    drive: Drive | None = None
     motion: Motion = field(default_factory=StaticMotion)
     collide: bool = False
 
