@@ -236,7 +236,7 @@ class Drive:
 
     x: what the joint leaves free, as in `Joint.limits`: [rad] or [m], and so are the targets [rad/s], [m/s].
     stiffness [N m/rad] or [N/m].  damping [N m s/rad] or [N s/m].  most: the force is no larger [N m] or [N].
-    per_inertia: all three are for an inertia of one that is moved, and multiplied by that which is.
+    per_inertia: stiffness and damping are for a mass or an inertia of one, and multiplied by what is moved.
     """
 
     stiffness: float = 0.0

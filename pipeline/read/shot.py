@@ -12,12 +12,14 @@ from plait.pipeline.config import Config
 from plait.pipeline.read import curves as drawn
 from plait.pipeline.read import parameters, roles, values
 from plait.pipeline.read.extents import Neighbourhood
+from plait.pipeline.read.filtering import read_filtered
 from plait.pipeline.read.grains import Heaps, middle_of
 from plait.pipeline.read.gravity import read_gravity
 from plait.pipeline.read.groom import Groom
 from plait.pipeline.read.grooms import Assembly, read_grooms, tell_of_skipped
 from plait.pipeline.read.guides import choose_leaders
-from plait.pipeline.read.joints import read_filtered, read_joints
+from plait.pipeline.read.joint_kinds import take_drafts
+from plait.pipeline.read.joints import read_joints
 from plait.pipeline.read.parameter_table import COLLIDER, FLESH
 from plait.pipeline.read.polygons import mesh_sizes
 from plait.pipeline.read.rigid import Props
@@ -59,6 +61,7 @@ class _Reader:
         self.frames = frames or (source.info.start, source.info.end)
         self.skeletons = Skeletons(source)
         self.bodies = Bodies(source, self.skeletons)
+        take_drafts(source)
         self.roles = roles.assign(source, self.skeletons)
 
     def shot(self) -> Shot:

@@ -219,5 +219,5 @@ def begin_drive(joints: Joints, j: int, pose: JointPose, response: wp.float64, l
     strength = length * drive[0] + drive[1]
     softness = ONE / (scale * length * strength)
     bias = (drive[0] * away - drive[1] * drive[3]) / strength
-    joints.drive_rate[j] = wp.vec3d(softness, bias, scale * length * joints.drive_most[j])
+    joints.drive_rate[j] = wp.vec3d(softness, bias, length * joints.drive_most[j])
     return softness
