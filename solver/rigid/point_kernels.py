@@ -92,7 +92,7 @@ def meet_points(
         x = place.x
         inside_lower = wp.min(x - boxes.lower[b] + grown, boxes.upper[b] + grown - x)
         if wp.min(inside_lower) >= ZERO:
-            # What meets an open surface for the first time belongs where its geom mostly is; the centre of mass may
+            # What meets an open surface for the first time belongs where its geom mostly is: a centre of mass may
             # be anywhere.
             witness = x
             if before >= 0:
