@@ -14,8 +14,9 @@ from pxr import Usd, UsdGeom, UsdPhysics
 
 from plait.pipeline.config import Config
 from plait.pipeline.read import parameters
+from plait.pipeline.read.approximation import bounding_shape, tell_of_approximation
 from plait.pipeline.read.masses import Part, read_mass
-from plait.pipeline.read.motions import Placement, WorldToLocal
+from plait.pipeline.read.motions import Placement, WorldToLocal, transform
 from plait.pipeline.read.parameter_table import RIGID
 from plait.pipeline.read.roles import Role
 from plait.pipeline.read.solids import solid_shape
@@ -24,6 +25,9 @@ from plait.pipeline.read.surfaces import Bodies, Body
 from plait.pipeline.read.turns import rotation_of
 from plait.pipeline.shot import TransformOutput
 from plait.solver.scene import Motion, Pose, RigidBody, Surface
+
+# The largest over the smallest scale of a body that still has a volume.
+FLATTEST = 1e8
 
 
 @dataclass
@@ -39,7 +43,11 @@ class HeldMotion:
 
     def pose(self, time: float) -> Pose:
         """What changes the body's shape after the first frame plays no part."""
-        matrix = self.placement.metric(self.source.code(time))
+        code = self.source.code(time)
+        matrix = self.placement.metric(code)
+        if not np.isfinite(matrix).all():
+            name, mend = "xformOpOrder", "mend the transform operations"
+            raise self.source.error(f"is not finite at time code {code:g}", self.placement.prim, name, mend)
         linear = matrix[:3, :3] @ np.linalg.inv(self.placement.at_start[:3, :3])
         matrix[:3, :3] = rotation_of(linear) if self.animated else np.eye(3)
         return Pose(matrix[None])
@@ -70,9 +78,15 @@ class Props:
         return len(self.paths)
 
     def placement(self, path: str) -> np.ndarray:
-        """(4, 4), the prim's own space [stage units] to scene coordinates [m], at the first frame."""
+        """(4, 4), the prim's own space [stage units] to scene coordinates [m], at the first frame.
+
+        Raises InputError where it is flat.
+        """
         matrix = self._source.metric(self._source.placed_at_start(self._prim(path)))
         matrix[:3, :3] *= self._source.units.meters_per_unit
+        if not np.any(matrix[:3, :3]) or np.linalg.cond(matrix[:3, :3]) > FLATTEST:
+            mend = "scale it by more than 0"
+            raise self._source.error("is scaled to nothing along an axis", self._prim(path), "xformOpOrder", mend)
         return matrix
 
     def rest(self, path: str) -> np.ndarray:
@@ -121,6 +135,10 @@ class Props:
         own_to_rest[:3, 3] -= place
         to_world = np.eye(4)
         to_world[:3, 3] = place
+        shape = solid_shape(self._source, body.prim, own_to_rest)
+        if shape is None:
+            own = transform(np.linalg.inv(own_to_rest), points)
+            shape = bounding_shape(self._source, body.prim, own, own_to_rest)
         surface = replace(
             body.surface,
             points=points,
@@ -129,8 +147,9 @@ class Props:
             thickness=given["clearance"],
             friction=given["friction"] if "friction" in given else None,
             rigid=index,
-            shape=solid_shape(self._source, body.prim, own_to_rest),
+            shape=shape,
         )
+        tell_of_approximation(self._source, body.prim, surface)
         return replace(
             body, surface=surface, rest_to_world=to_world, own_to_rest=own_to_rest, bind_to_rest=own_to_rest
         )

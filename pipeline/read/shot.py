@@ -11,6 +11,7 @@ from pxr import Tf, Usd, UsdGeom, UsdUtils
 from plait.pipeline.config import Config
 from plait.pipeline.read import curves as drawn
 from plait.pipeline.read import parameters, roles, values
+from plait.pipeline.read.approximation import tell_of_approximation
 from plait.pipeline.read.extents import Neighbourhood
 from plait.pipeline.read.filtering import read_filtered
 from plait.pipeline.read.grains import Heaps, middle_of
@@ -255,6 +256,7 @@ class _Reader:
 
     def _with_contact(self, body: Body) -> Surface:
         given = parameters.resolve(self.source, body.prim, COLLIDER, self.config)
+        tell_of_approximation(self.source, body.prim, body.surface)
         return replace(
             body.surface, thickness=given["clearance"], friction=given["friction"] if "friction" in given else None
         )

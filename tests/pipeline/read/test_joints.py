@@ -177,3 +177,35 @@ def test_a_generic_joint_of_other_freedoms_is_refused(read) -> None:
     shot = read(BOTH + _joint(""))
     (prim,) = [prim for prim in shot.prims if prim.path == "/J"]
     assert not prim.supported and "PhysicsJoint" in prim.reason
+
+
+@pytest.mark.parametrize(
+    ("joint", "attribute"),
+    [
+        (_joint("Fixed", body1="/Gone"), "physics:body1"),
+        (_joint("Revolute", 'uniform token physics:axis = "Q"'), "physics:axis"),
+        (_joint("Fixed", "quatf physics:localRot0 = (0, 0, 0, 0)"), "physics:localRot0"),
+        (_joint("Fixed", "point3f physics:localPos1 = (nan, 0, 0)"), "physics:localPos1"),
+        (
+            _joint("Distance", "float physics:minDistance = 9\nfloat physics:maxDistance = 5"),
+            "physics:minDistance",
+        ),
+        (
+            _joint("Revolute", "float drive:angular:physics:damping = -1").replace(
+                '"J"', '"J" (prepend apiSchemas = ["PhysicsDriveAPI:angular"])'
+            ),
+            "drive:angular:physics:damping",
+        ),
+    ],
+)
+def test_joints_that_cannot_be_are_refused_by_name(joint: str, attribute: str, read) -> None:
+    with pytest.raises(InputError) as caught:
+        read(BOTH + joint)
+    assert "</J>" in str(caught.value) and attribute in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_joints_may_make_a_ring_but_not_hold_a_body_to_itself(read) -> None:
+    ring = _joint("Fixed") + _joint("Fixed", body0="/B", body1="/A").replace('"J"', '"K"')
+    assert len(read(BOTH + ring).scene.joints) == 2
+    shot = read(BOTH + _joint("Fixed", body1="/A"))
+    assert not shot.scene.joints and any("</J>" in warning for warning in shot.warnings)

@@ -12,6 +12,16 @@ BODY = "PhysicsRigidBodyAPI", "PhysicsCollisionAPI", "PhysicsMassAPI"
 ROUNDING = 1e-6
 
 
+MESH = "int[] faceVertexCounts = [{}]\nint[] faceVertexIndices = [{}]\npoint3f[] points = [{}]"
+EMPTY, TRIANGLE = MESH.format("", "", ""), MESH.format("3", "0, 1, 2", "(0, 0, 0), (1, 0, 0), (0, 1, 0)")
+# A tetrahedron with a fifth point in its middle, to which one of its sides goes in.
+DENTED = MESH.format(
+    "3, 3, 3, 3, 3, 3",
+    "0, 1, 3, 0, 3, 2, 0, 2, 1, 1, 2, 4, 2, 3, 4, 3, 1, 4",
+    "(0, 0, 0), (4, 0, 0), (0, 4, 0), (0, 0, 4), (1, 1, 1)",
+)
+
+
 def _prim(
     kind: str, lines: str = "", schemas: tuple[str, ...] = BODY, inside: str = "", name: str = "Body"
 ) -> str:
@@ -173,6 +183,24 @@ def test_shapes_keep_their_axis_and_bake_one_scale(kind: str, axis: str, read) -
         assert across[np.argmax(local[:, 2])] == pytest.approx(0.0, abs=1e-12), "the apex is at +z"
 
 
+@pytest.mark.parametrize("kind", ["none", "convexHull", "boundingCube", "boundingSphere", "convexDecomposition"])
+def test_what_touches_for_a_mesh(kind: str, read) -> None:
+    """A bounding shape touches and has the mass; hollows stay, and that is said."""
+    lines = f'{DENTED}\nuniform token physics:approximation = "{kind}"\n' + _place("float3 scale = (2, 2, 2)")
+    shot = read(_prim("Mesh", lines, (*BODY, "PhysicsMeshCollisionAPI")))
+    shape, mass = shot.scene.surfaces[0].shape, _only(shot).mass
+    told = any("physics:approximation" in line for line in shot.warnings)
+    assert told == kind.startswith("convex")
+    if kind == "boundingCube":
+        assert shape.kind == "box" and mass == pytest.approx(1000.0 * 8.0**3)
+        np.testing.assert_allclose(shape.size, 4.0)
+        np.testing.assert_allclose(shape.frame[:3, 3], 4.0)
+    elif kind == "boundingSphere":
+        assert shape.kind == "sphere" and shape.size[0] == pytest.approx(4.0 * np.sqrt(3.0))
+    else:
+        assert shape is None
+
+
 def test_uneven_scales(read) -> None:
     """A box stays one; a ball becomes what is drawn, and that is said."""
     place = _place("float3 scale = (1, 2, 3)")
@@ -211,6 +239,13 @@ def test_what_is_not_simulated(read) -> None:
         (_prim("Cube", "float3 physics:diagonalInertia = (1, -1, 1)"), "physics:diagonalInertia"),
         (_prim("Cube", "point3f physics:centerOfMass = (nan, 0, 0)"), "physics:centerOfMass"),
         (_prim("Cube", "vector3f physics:velocity = (inf, 0, 0)"), "physics:velocity"),
+        (_prim("Cube", "float physics:mass = inf"), "physics:mass"),
+        (_prim("Cube", "float physics:density = -2"), "physics:density"),
+        (_prim("Cube", _place("double3 translate = (nan, 0, 0)")), "xformOpOrder"),
+        (_prim("Cube", _place("float3 scale = (0, 1, 1)")), "xformOpOrder"),
+        (_prim("Cylinder", 'uniform token axis = "Q"'), "axis"),
+        (_prim("Mesh", EMPTY), "has no triangle"),
+        (_prim("Mesh", TRIANGLE), "encloses no volume"),
     ],
 )
 def test_values_that_cannot_be_are_refused_by_name(text: str, attribute: str, read) -> None:
