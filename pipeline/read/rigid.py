@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdPhysics
+from pxr import Sdf, Usd, UsdGeom, UsdPhysics
 
 from plait.pipeline.config import Config
 from plait.pipeline.read import parameters
@@ -51,6 +51,20 @@ class HeldMotion:
         linear = matrix[:3, :3] @ np.linalg.inv(self.placement.at_start[:3, :3])
         matrix[:3, :3] = rotation_of(linear) if self.animated else np.eye(3)
         return Pose(matrix[None])
+
+
+@dataclass
+class FromRest:
+    """time [s] -> (4, 4), rest space to scene coordinates, where the shot has the body's prim, and how large."""
+
+    source: Source
+    placement: Placement
+    to_own: np.ndarray
+
+    def __call__(self, time: float) -> np.ndarray:
+        matrix = self.placement.metric(self.source.code(time))
+        matrix[:3, :3] *= self.source.units.meters_per_unit
+        return matrix @ self.to_own
 
 
 class Props:
@@ -102,6 +116,18 @@ class Props:
     def outputs(self) -> tuple[TransformOutput, ...]:
         """How the bodies' prims get their transforms back."""
         return tuple(self._output(index, path) for index, path in enumerate(self.paths))
+
+    def carrying(self, path: str) -> int | None:
+        """Which body, if any, carries the space of the prim at `path`, which may be still to be made."""
+        prim = self._source.stage.GetPrimAtPath(path)
+        while path != "/":
+            if prim and UsdGeom.Xformable(prim).GetResetXformStack():
+                return None
+            path = str(Sdf.Path(path).GetParentPath())
+            if path in self.paths:
+                return self.paths.index(path)
+            prim = self._source.stage.GetPrimAtPath(path)
+        return None
 
     def _prim(self, path: str) -> Usd.Prim:
         return self._source.stage.GetPrimAtPath(path)
@@ -195,7 +221,9 @@ class Props:
         nested = any(path.startswith(f"{other}/") for other in self.paths)
         resets = nested or UsdGeom.Xformable(prim).GetResetXformStack()
         frame = self._source.stage.GetPseudoRoot() if resets else prim.GetParent()
-        return TransformOutput(path, index, self.rest(path), WorldToLocal(self._source, frame), resets)
+        rest = self.rest(path)
+        in_shot = FromRest(self._source, Placement(self._source, prim), np.linalg.inv(rest))
+        return TransformOutput(path, index, rest, WorldToLocal(self._source, frame), in_shot, resets)
 
 
 def _frame_of(prim: Usd.Prim) -> Usd.Prim:

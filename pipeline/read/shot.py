@@ -97,13 +97,16 @@ class _Reader:
         tell_of_skipped(self.source, self.roles)
         reports = tuple(self._report(role, carrying, grooms, tissues, heaps) for role in self.roles)
         meshes = (*(tissue.output for tissue in tissues.values()), *self._riders(tissues))
+        curves = assembly.outputs()
+        carried = {o.prim_path: props.carrying(o.prim_path) for o in (*curves, *meshes, *heaps.outputs)}
         return Shot(
             self.source.info,
             scene,
-            assembly.outputs(),
+            curves,
             reports,
             meshes=meshes,
             props=props.outputs(),
+            on_props={path: prop for path, prop in carried.items() if prop is not None},
             grains=heaps.outputs,
         )
 

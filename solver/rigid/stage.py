@@ -16,7 +16,7 @@ from plait.solver.rigid.contact import RigidContact
 from plait.solver.rigid.joints import JointTable
 from plait.solver.rigid.motion_kernels import Masses, Motion
 from plait.solver.rigid.place_kernels import place_points
-from plait.solver.rigid.quaternions import quaternion, rotation_matrix
+from plait.solver.rigid.quaternions import quaternion, rotation_matrix, turned_by
 from plait.solver.rigid.row_kernels import Work
 from plait.solver.rigid.solve_kernels import advance_bodies
 from plait.solver.rigid.types import Start, Step
@@ -239,11 +239,15 @@ class RigidStage:
         """What places the points of each surface that a rigid body carries."""
         return {index: partial(self.place_surface, index) for index in self._points}
 
-    def pose(self, body: int) -> np.ndarray:
-        """(4, 4) from the body's rest space to world, now."""
-        out = np.eye(4)
+    def pose(self, body: int, ahead: float = 0.0) -> np.ndarray:
+        """(4, 4) from the body's rest space to world, now, or so much later [s] were it to fly on evenly."""
+        out, position = np.eye(4), self.position.numpy()[body]
         out[:3, :3] = rotation_matrix(self.orientation.numpy()[body])
-        out[:3, 3] = self.position.numpy()[body] - out[:3, :3] @ self.bodies[body].center_of_mass
+        if ahead:
+            position = position + ahead * self.velocity.numpy()[body]
+            spin = np.linalg.solve(self.bodies[body].inertia, out[:3, :3].T @ self.angular_momentum.numpy()[body])
+            out[:3, :3] = out[:3, :3] @ turned_by(ahead * spin)
+        out[:3, 3] = position - out[:3, :3] @ self.bodies[body].center_of_mass
         return out
 
     def end_frame(self, state: State, frame: Interval) -> dict[str, Any]:
