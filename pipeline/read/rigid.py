@@ -24,7 +24,7 @@ from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Bodies, Body
 from plait.pipeline.read.turns import rotation_of
 from plait.pipeline.shot import TransformOutput
-from plait.solver.scene import Motion, Pose, RigidBody, Surface
+from plait.solver.scene import Joint, Motion, Pose, RigidBody, Surface
 
 # The largest over the smallest scale of a body that still has a volume.
 FLATTEST = 1e8
@@ -219,11 +219,26 @@ class Props:
         prim = self._prim(path)
         # What moves with another body would be carried by it a second time.
         nested = any(path.startswith(f"{other}/") for other in self.paths)
+        if nested and not UsdGeom.Xformable(prim).GetResetXformStack():
+            self._source.warn("is within another rigid body, and does not move with it", prim, "xformOpOrder")
         resets = nested or UsdGeom.Xformable(prim).GetResetXformStack()
         frame = self._source.stage.GetPseudoRoot() if resets else prim.GetParent()
         rest = self.rest(path)
         in_shot = FromRest(self._source, Placement(self._source, prim), np.linalg.inv(rest))
         return TransformOutput(path, index, rest, WorldToLocal(self._source, frame), in_shot, resets)
+
+
+def describe(bodies: Sequence[RigidBody], joints: Sequence[Joint]) -> dict[str, str]:
+    """By prim path, what a report says of bodies and joints."""
+    told = {}
+    for body in bodies:
+        about = ", ".join(f"{value:.3g}" for value in np.linalg.eigvalsh(body.inertia))
+        told[body.name] = f"{body.mass:.4g} kg, inertia {about} kg m2, {len(body.surfaces)} colliders"
+    for joint in joints:
+        first, second = ("the world" if side is None else bodies[side].name for side in joint.bodies)
+        driven = ", driven" if joint.drive is not None else ""
+        told[joint.name] = f"{joint.kind}{driven}: holds {second} to {first}"
+    return told
 
 
 def _frame_of(prim: Usd.Prim) -> Usd.Prim:

@@ -23,7 +23,7 @@ from plait.pipeline.read.joint_kinds import take_drafts
 from plait.pipeline.read.joints import read_joints
 from plait.pipeline.read.parameter_table import COLLIDER, FLESH
 from plait.pipeline.read.polygons import mesh_sizes
-from plait.pipeline.read.rigid import Props
+from plait.pipeline.read.rigid import Props, describe
 from plait.pipeline.read.roles import Role
 from plait.pipeline.read.roots import find_roots
 from plait.pipeline.read.skeletons import Skeletons
@@ -95,7 +95,8 @@ class _Reader:
             rigid_start=heaps.start,
         )
         tell_of_skipped(self.source, self.roles)
-        reports = tuple(self._report(role, carrying, grooms, tissues, heaps) for role in self.roles)
+        told = describe(scene.rigid_bodies, scene.joints)
+        reports = tuple(self._report(role, carrying, grooms, tissues, heaps, told) for role in self.roles)
         meshes = (*(tissue.output for tissue in tissues.values()), *self._riders(tissues))
         curves = assembly.outputs()
         carried = {o.prim_path: props.carrying(o.prim_path) for o in (*curves, *meshes, *heaps.outputs)}
@@ -279,6 +280,7 @@ class _Reader:
         grooms: list[Groom],
         tissues: dict[str, Tissue],
         heaps: Heaps,
+        rigid: dict[str, str],
     ) -> PrimReport:
         prim = role.prim
         path = str(prim.GetPath())
@@ -296,7 +298,7 @@ class _Reader:
         if path in tissues:
             sizes |= tissues[path].sizes
         sizes |= heaps.sizes.get(path, {})
-        told = heaps.told(path)
+        told = heaps.told(path) or rigid.get(path, "")
         recognised += f"; {told}" if told else ""
         roots = groom.rooted.how if groom else ""
         if groom and groom.free.any():

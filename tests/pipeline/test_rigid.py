@@ -219,8 +219,8 @@ def test_hair_grows_on_a_prop_beneath_which_it_lies(tmp_path: Path) -> None:
         lengths.append(np.linalg.norm(np.diff(points, axis=1), axis=2))
         velocities = np.array(hair.GetVelocitiesAttr().Get(code)).reshape(len(roots), 5, 3)
         if code > 1:
-            # A strand's velocity is the difference over a substep, so it lags by w^2 r h / 2, r < 4; it falls at 20
-            # units a second and more meanwhile.
+            # A strand's velocity is the difference over a substep, so it lags by w^2 r h / 2, r < 4; it falls at
+            # 20 units a second and more meanwhile.
             assert np.abs(velocities[:, 0]).max() < np.radians(SPIN) ** 2 * 4.0 / RATE / 8 / 2
     np.testing.assert_allclose(lengths, 0.4, rtol=1e-3)
 

@@ -209,3 +209,8 @@ def test_joints_may_make_a_ring_but_not_hold_a_body_to_itself(read) -> None:
     assert len(read(BOTH + ring).scene.joints) == 2
     shot = read(BOTH + _joint("Fixed", body1="/A"))
     assert not shot.scene.joints and any("</J>" in warning for warning in shot.warnings)
+
+
+def test_the_report_tells_masses_and_joints(read) -> None:
+    told = {prim.path: prim.recognised for prim in read(BOTH + _joint("Revolute"), meters=0.01).prims}
+    assert "0.216 kg" in told["/A"] and "revolute: holds /B to /A" in told["/J"]
