@@ -35,6 +35,12 @@ class Outputs:
 
         Raises `Refused` for curves that follow guides and grow where they cannot.
         """
+        self._on_props = ()
+        if shot.on_props:
+            # Here, so that a shot without rigid props loads nothing for them.
+            from plait.pipeline.on_props import carried
+
+            shot, self._on_props = carried(shot, parts["rigid"])
         self._strands, self._tets = parts.get("strands"), parts.get("tets")
         self._rigid, self._grains = parts.get("rigid"), None
         if shot.grains:
@@ -70,6 +76,8 @@ class Outputs:
 
     def frames(self, time: float) -> tuple[PrimFrame | TransformFrame, ...]:
         """Every prim's sample, everything simulated being where it is at `time` [s]."""
+        for prop in self._on_props:
+            prop.take(time)
         shapes = zip(self._curves, self._now(time), strict=True)
         curves = [self._curve_frame(output, now, time) for output, now in shapes]
         meshes = [self._mesh_frame(output, time) for output in self._meshes]

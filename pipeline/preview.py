@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Tf, UsdGeom, UsdUtils
+from pxr import Tf, UsdUtils
 
 from plait.pipeline import layers
 from plait.pipeline.config import Config
@@ -21,6 +21,7 @@ from plait.pipeline.frames import parse
 from plait.pipeline.pictures import canvas, framing
 from plait.pipeline.pictures.drawables import Shell, collect
 from plait.pipeline.read.source import Source
+from plait.pipeline.targets import TRANSFORM
 
 STILLS = (".png", ".jpg", ".jpeg")
 CLIPS = (".webp", ".gif")
@@ -126,12 +127,8 @@ class _Stage:
         """Every frame of the stage's range; of a result, of the part of it that was simulated."""
         stage, info = self.source.stage, self.source.info
         simulated = [stage.GetPrimAtPath(path) for path in layers.simulated_prims(stage.GetRootLayer())]
-        samples = [
-            code
-            for prim in simulated
-            if prim
-            for code in UsdGeom.PointBased(prim).GetPointsAttr().GetTimeSamples()
-        ]
+        attributes = [prim.GetAttribute(name) for prim in simulated if prim for name in ("points", TRANSFORM)]
+        samples = [code for attribute in attributes if attribute for code in attribute.GetTimeSamples()]
         start, end = (math.ceil(min(samples)), max(samples)) if samples else (info.start, info.end)
         return tuple(float(code) for code in np.arange(start, end + 1e-6))
 

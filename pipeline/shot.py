@@ -206,6 +206,7 @@ class TransformOutput:
     body: index into `Scene.rigid_bodies`.
     rest: (4, 4), the prim's own space [stage units] to the body's rest space [m].
     world_to_parent: time [s] -> (4, 4), from scene world [m] to the space that the prim's transform is in.
+    in_shot: time [s] -> (4, 4), from the body's rest space to scene world [m], where the shot has the prim.
     resets: that space is the world, not the parent's.
     """
 
@@ -213,6 +214,7 @@ class TransformOutput:
     body: int
     rest: np.ndarray
     world_to_parent: Callable[[float], np.ndarray]
+    in_shot: Callable[[float], np.ndarray]
     resets: bool = False
     point_count: int = field(default=0, init=False)
 
@@ -303,6 +305,7 @@ class PrimReport:
 class Shot:
     """Everything the driver and the writer need.
 
+    on_props: by path of an output, the index into `props` of the one whose transform its prim's space is beneath.
     warnings: whole lines for the log.  layers: every file the shot is composed of, sorted; none may be written to.
     """
 
@@ -314,6 +317,7 @@ class Shot:
     layers: tuple[Path, ...] = ()
     meshes: tuple[MeshOutput, ...] = ()
     props: tuple[TransformOutput, ...] = ()
+    on_props: Mapping[str, int] = field(default_factory=dict)
     grains: tuple[GrainOutput | GrainSurfaceOutput, ...] = ()
 
     @property

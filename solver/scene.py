@@ -21,7 +21,7 @@ RestShape = Literal["sagfree", "authored"]
 SkinningMethod = Literal["linear", "dual-quaternion"]
 ElasticLaw = Literal["fixed-corotated", "neo-hookean", "stvk"]
 ShapeKind = Literal["sphere", "capsule", "cylinder", "cone", "box"]
-JointKind = Literal["fixed", "revolute", "spherical", "prismatic"]
+JointKind = Literal["fixed", "revolute", "spherical", "prismatic", "distance"]
 GranularLaw = Literal["sand", "snow"]
 
 
@@ -212,9 +212,10 @@ class RigidBody:
         their rest points lie in one space, the body's rest space. Friction is told by each surface.
     mass: [kg].  center_of_mass: (3,) float64 [m], in rest space.
     inertia: (3, 3) float64 [kg m2], about the centre of mass, along the axes of rest space.
-    motion: rest space to world, rigid, of which only the pose at the start counts.
-    velocity: (3,) float64 [m/s], of the centre of mass, and angular_velocity: (3,) float64 [rad/s], world, at the
-        start.
+    motion: rest space to world, rigid; it says where the body is until `Scene.rigid_start`, or at the start of the
+        simulation where that is later.
+    velocity: (3,) float64 [m/s], of the centre of mass, and angular_velocity: (3,) float64 [rad/s], world, with
+        which it is then released.
     restitution: of its impacts, 0 to 1; of a pair the larger counts.
     """
 
@@ -230,15 +231,33 @@ class RigidBody:
 
 
 @dataclass(frozen=True)
+class Drive:
+    """Draws a joint to a target: the force is stiffness (target - x) + damping (target_velocity - v).
+
+    x: what the joint leaves free, as in `Joint.limits`: [rad] or [m], and so are the targets [rad/s], [m/s].
+    stiffness [N m/rad] or [N/m].  damping [N m s/rad] or [N s/m].  most: the force is no larger [N m] or [N].
+    per_inertia: stiffness and damping are for a mass or an inertia of one, and multiplied by what is moved.
+    """
+
+    stiffness: float = 0.0
+    damping: float = 0.0
+    target: float = 0.0
+    target_velocity: float = 0.0
+    most: float = np.inf
+    per_inertia: bool = False
+
+
+@dataclass(frozen=True)
 class Joint:
     """Holds two rigid bodies to each other, or one to a place.
 
     bodies: indices into `Scene.rigid_bodies`; None for the world, at most once.
     frames: of each side the joint's frame, (4, 4) float64, rigid, in that body's rest space; for the world in that
         of `motion`. What is held together: of 'fixed' the whole frames; of 'revolute' origins and z axes, turning
-        about z; of 'spherical' origins; of 'prismatic' all but the way along z.
+        about z; of 'spherical' origins; of 'prismatic' all but the way along z; of 'distance' nothing.
     limits: lower and upper, of the second frame against the first: of 'revolute' the turn about z, within half a
-        turn [rad]; of 'prismatic' the way along z [m]. None: no limits.
+        turn [rad]; of 'prismatic' the way along z, of 'distance' that between the origins [m]. None: no limits.
+    drive: of 'revolute' and 'prismatic'.
     cone: of 'spherical', how far the second z axis may lean from the first [rad], above 0; None: any way.
     motion: carries the world's frame.
     collide: whether the two bodies touch each other besides.
@@ -250,6 +269,7 @@ class Joint:
     frames: tuple[np.ndarray, np.ndarray]
     limits: tuple[float, float] | None = None
     cone: float | None = None
+    drive: Drive | None = None
     motion: Motion = field(default_factory=StaticMotion)
     collide: bool = False
 
@@ -415,6 +435,7 @@ class Scene:
     gravity: (3,) float64 [m/s2], world.  origin: (3,) float64 [m]: shot world = scene world + origin.
     filtered: pairs of indices into `surfaces`, at least one carried by a rigid body, that do not touch each other.
     granular_start: [s] until which granular matter stays as given, and none is poured in; to the nearest substep.
+    rigid_start: [s] until which rigid bodies go where their motions take them; to the nearest substep.
     """
 
     surfaces: tuple[Surface, ...] = ()
@@ -428,3 +449,4 @@ class Scene:
     filtered: tuple[tuple[int, int], ...] = ()
     granular: tuple[Granular, ...] = ()
     granular_start: float = -np.inf
+    rigid_start: float = -np.inf

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from pxr import Usd, UsdPhysics
 
+from plait.pipeline.read.source import Source
 from plait.solver.scene import JointKind
 
 KINDS: dict[str, JointKind] = {
@@ -13,29 +14,50 @@ KINDS: dict[str, JointKind] = {
     "PhysicsRevoluteJoint": "revolute",
     "PhysicsSphericalJoint": "spherical",
     "PhysicsPrismaticJoint": "prismatic",
+    "PhysicsDistanceJoint": "distance",
 }
+# What types were called before UsdPhysics was part of USD.
+DRAFTS = {f"{name}PhysicsJoint": f"Physics{name}Joint" for name in ("Distance", "Fixed", "Prismatic", "Revolute")}
+DRAFTS |= {"SphericalPhysicsJoint": "PhysicsSphericalJoint"}
 WAYS, TURNS = ("transX", "transY", "transZ"), ("rotX", "rotY", "rotZ")
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """axis: X, Y or Z, '' for a kind without.  lower, upper: names of the attributes with its limits."""
+    """axis: X, Y or Z, '' for a kind without.  lower, upper: names of the attributes with its limits.
+    drive: the instance of PhysicsDriveAPI that acts along what is free, '' for none.
+    """
 
     kind: JointKind
     axis: str = ""
     lower: str = "physics:lowerLimit"
     upper: str = "physics:upperLimit"
+    drive: str = ""
+
+
+def take_drafts(source: Source) -> None:
+    """Joints whose type has its name of a draft are what USD has instead; in memory alone."""
+    stage = source.stage
+    found = [prim for prim in stage.Traverse() if str(prim.GetTypeName()) in DRAFTS]
+    with Usd.EditContext(stage, stage.GetSessionLayer()):
+        for prim in found:
+            name = str(prim.GetTypeName())
+            source.warn(f"is a {name}, which USD does not know; taken as a {DRAFTS[name]}", prim)
+            prim.SetTypeName(DRAFTS[name])
 
 
 def drawn_kind(prim: Usd.Prim) -> Drawn | None:
-    """None for a joint that is none of the solver's: a distance joint, or a generic one of other freedoms."""
+    """None for a joint that is none of the solver's: a generic one of other freedoms."""
     name = str(prim.GetTypeName())
     if name == "PhysicsJoint":
         return _generic(prim)
     if name not in KINDS:
         return None
     kind = KINDS[name]
-    return Drawn(kind, "" if kind == "fixed" else str(prim.GetAttribute("physics:axis").Get()))
+    if kind == "distance":
+        return Drawn(kind, "", "physics:minDistance", "physics:maxDistance")
+    axis = "" if kind == "fixed" else str(prim.GetAttribute("physics:axis").Get())
+    return Drawn(kind, axis, drive={"revolute": "angular", "prismatic": "linear"}.get(kind, ""))
 
 
 def _generic(prim: Usd.Prim) -> Drawn | None:
@@ -44,7 +66,7 @@ def _generic(prim: Usd.Prim) -> Drawn | None:
         return Drawn("fixed")
     if len(free) == 1:
         limits = (f"limit:{free[0]}:physics:{side}" for side in ("low", "high"))
-        return Drawn("prismatic" if free[0] in WAYS else "revolute", free[0][-1], *limits)
+        return Drawn("prismatic" if free[0] in WAYS else "revolute", free[0][-1], *limits, free[0])
     unlimited = not any(prim.HasAPI(UsdPhysics.LimitAPI, turn) for turn in TURNS)
     return Drawn("spherical", "Z") if free == list(TURNS) and unlimited else None
 

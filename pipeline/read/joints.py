@@ -1,4 +1,4 @@
-"""Joints of UsdPhysics between rigid bodies, or of one with the world, and pairs that do not touch."""
+"""Joints of UsdPhysics between rigid bodies, or of one with the world."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from pxr import Usd, UsdPhysics
 
+from plait.pipeline.read.drives import read_drive
 from plait.pipeline.read.joint_kinds import Drawn, drawn_kind
 from plait.pipeline.read.motions import Placement
 from plait.pipeline.read.rigid import Props
 from plait.pipeline.read.roles import Role
-from plait.pipeline.read.shapes import turn_from_z
+from plait.pipeline.read.shapes import checked_axis, turn_from_z
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.turns import of_quaternion, rotation_of
-from plait.solver.scene import Joint, Pose, StaticMotion, Surface
+from plait.solver.scene import Joint, Pose, StaticMotion
 
 
 @dataclass
@@ -45,24 +46,6 @@ def is_joint(prim: Usd.Prim) -> bool:
     return prim.IsA(UsdPhysics.Joint)
 
 
-def read_filtered(source: Source, surfaces: Sequence[Surface]) -> tuple[tuple[int, int], ...]:
-    """Pairs of surfaces, one of them of a rigid body at least, that PhysicsFilteredPairsAPI keeps apart."""
-    pairs: set[tuple[int, int]] = set()
-    for prim in source.stage.Traverse():
-        if not prim.HasAPI(UsdPhysics.FilteredPairsAPI):
-            continue
-        own = _beneath(surfaces, str(prim.GetPath()))
-        for target in UsdPhysics.FilteredPairsAPI(prim).GetFilteredPairsRel().GetTargets():
-            others = _beneath(surfaces, str(target))
-            pairs |= {(min(a, b), max(a, b)) for a in own for b in others if a != b}
-    rigid = [surface.rigid is not None for surface in surfaces]
-    return tuple(sorted(pair for pair in pairs if rigid[pair[0]] or rigid[pair[1]]))
-
-
-def _beneath(surfaces: Sequence[Surface], path: str) -> list[int]:
-    return [i for i, s in enumerate(surfaces) if s.collides and (s.name == path or s.name.startswith(f"{path}/"))]
-
-
 def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
     joint = UsdPhysics.Joint(prim)
     if joint.GetJointEnabledAttr().Get(source.start) is False:
@@ -73,9 +56,10 @@ def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
         source.warn("holds no simulated body to another or to the world; left out", prim)
         return None
     held = drawn_kind(prim)
+    if held.kind in ("revolute", "prismatic", "spherical") and prim.HasAttribute("physics:axis"):
+        checked_axis(source, prim.GetAttribute("physics:axis"))
     turn = turn_from_z(held.axis) if held.axis else np.eye(3)
-    if any(name.startswith("PhysicsDriveAPI:") for name in prim.GetAppliedSchemas()):
-        source.warn("its drives play no part", prim)
+    _tell_of_breaking(source, joint)
     locals_ = (
         (joint.GetLocalPos0Attr(), joint.GetLocalRot0Attr()),
         (joint.GetLocalPos1Attr(), joint.GetLocalRot1Attr()),
@@ -96,9 +80,16 @@ def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
         frames=(frames[0], frames[1]),
         limits=_limits(source, prim, held),
         cone=_cone(source, prim) if held.kind == "spherical" else None,
+        drive=read_drive(source, prim, held),
         motion=motion,
         collide=bool(joint.GetCollisionEnabledAttr().Get(source.start)),
     )
+
+
+def _tell_of_breaking(source: Source, joint: UsdPhysics.Joint) -> None:
+    for attribute in (joint.GetBreakForceAttr(), joint.GetBreakTorqueAttr()):
+        if attribute.Get(source.start) < np.inf:
+            source.warn("is ignored: joints do not break", attribute.GetPrim(), attribute.GetName())
 
 
 def _holder(source: Source, prim: Usd.Prim, relation: Usd.Relationship) -> Usd.Prim:
@@ -140,16 +131,20 @@ def _frame(
 
 def _limits(source: Source, prim: Usd.Prim, held: Drawn) -> tuple[float, float] | None:
     """Lower and upper in SI; None where neither limits anything."""
-    if held.kind not in ("revolute", "prismatic"):
+    if held.kind not in ("revolute", "prismatic", "distance"):
         return None
     attributes = [prim.GetAttribute(name) for name in (held.lower, held.upper)]
     values = [attribute.Get(source.start) if attribute else None for attribute in attributes]
     lower, upper = (
         none if value is None else float(value) for value, none in zip(values, (-np.inf, np.inf), strict=True)
     )
+    if held.kind == "distance":  # below zero: none
+        lower, upper = (lower if lower > 0.0 else 0.0), (np.inf if upper < 0.0 else upper)
     if np.isnan([lower, upper]).any() or lower > upper:
         raise source.error(f"is {lower:g}, above {upper:g}", prim, held.lower, "author the lower one first")
-    if held.kind == "prismatic":
+    if held.kind == "distance" and lower == 0.0:
+        lower = -np.inf
+    if held.kind != "revolute":
         lower, upper = (limit * source.units.meters_per_unit for limit in (lower, upper))
         return None if lower == -np.inf and upper == np.inf else (lower, upper)
     if lower <= -180.0 and upper >= 180.0:

@@ -27,9 +27,11 @@ class Part:
 def read_mass(source: Source, prim: Usd.Prim, parts: Sequence[Part], rest: np.ndarray) -> MassProperties:
     """Of the body `prim`, in its rest space, to which `rest` (4, 4) takes the prim's own [stage units].
 
-    A mass of the body's own comes before those of its parts, a part's before its density; of densities that of
-    the part comes first, then the body's, the material's, 1000 kg/m3. What is not authored is that of the parts,
-    scaled to the mass. Raises InputError for a body of which that is not known.
+    As UsdPhysicsMassAPI has it, a mass of the body's own comes before those of its parts, a part's before its
+    density; of densities that of the part comes first, then the body's, the material's, 1000 kg/m3. Centre and
+    inertia of a part are its own where they are authored. What is not authored of the body is that of the parts,
+    scaled to the mass. Scales above a prim move its authored centre, and change neither its mass nor its inertia.
+    Raises InputError for a body of which that is not known.
     """
     mass = _mass(source, prim)
     center, inertia = _center(source, prim, rest), _inertia(source, prim, rest)
@@ -40,7 +42,7 @@ def read_mass(source: Source, prim: Usd.Prim, parts: Sequence[Part], rest: np.nd
             return MassProperties(mass, np.zeros(3), inertia)
         mend = "author physics:mass and physics:diagonalInertia, or apply PhysicsCollisionAPI to a shape of it"
         raise source.error("has no collider to find its mass by", prim, "physics:mass", mend)
-    found = _together([_of_part(source, part) for part in parts])
+    found = _together([_of_part(source, part, part.body.prim == prim) for part in parts])
     scale = mass / found.mass if mass > 0.0 else 1.0
     if center is None:
         center = found.center
@@ -62,22 +64,30 @@ def _together(parts: Sequence[MassProperties]) -> MassProperties:
     return MassProperties(mass, center, inertia)
 
 
-def _of_part(source: Source, part: Part) -> MassProperties:
+def _of_part(source: Source, part: Part, whole: bool) -> MassProperties:
+    """whole: the part is the body's own prim, and what is authored there is of the body."""
+    prim, found = part.body.prim, _of_shape(source, part)
+    if whole:
+        return found
+    mass, center = _mass(source, prim), _center(source, prim, part.body.own_to_rest)
+    inertia = _inertia(source, prim, part.body.own_to_rest)
+    scale = mass / found.mass if mass > 0.0 else 1.0
+    return MassProperties(
+        scale * found.mass,
+        found.center if center is None else center,
+        scale * found.inertia if inertia is None else inertia,
+    )
+
+
+def _of_shape(source: Source, part: Part) -> MassProperties:
     surface, density = part.body.surface, part.given["density"]
     if surface.shape is not None:
-        found = of_shape(surface.shape, density)
-    else:
-        try:
-            found = of_mesh(surface.points, surface.triangles, density)
-        except ValueError as error:
-            mend = "close it, or author physics:mass, physics:centerOfMass and physics:diagonalInertia of its body"
-            raise source.error(
-                "encloses no volume, so its mass is not known", part.body.prim, mend=mend
-            ) from error
-    own = _mass(source, part.body.prim)
-    if own > 0.0:
-        return MassProperties(own, found.center, found.inertia * own / found.mass)
-    return found
+        return of_shape(surface.shape, density)
+    try:
+        return of_mesh(surface.points, surface.triangles, density)
+    except ValueError as error:
+        mend = "close it, or author physics:mass, physics:centerOfMass and physics:diagonalInertia of its body"
+        raise source.error("encloses no volume, so its mass is not known", part.body.prim, mend=mend) from error
 
 
 def _mass(source: Source, prim: Usd.Prim) -> float:

@@ -23,13 +23,13 @@ class Placement:
     """A prim's transform to the world at any time code."""
 
     def __init__(self, source: Source, prim: Usd.Prim) -> None:
-        self._source, self._prim = source, prim
+        self._source, self.prim = source, prim
         self.at_start = source.placed_at_start(prim)
         self.animated = _varies(prim)
 
     def matrix(self, code: float) -> np.ndarray:
         """(4, 4) float64, column vectors, stage units."""
-        return self._source.local_to_world(self._prim, code) if self.animated else self.at_start
+        return self._source.local_to_world(self.prim, code) if self.animated else self.at_start
 
     def metric(self, code: float) -> np.ndarray:
         """The same, acting on metres, giving scene coordinates."""

@@ -7,15 +7,16 @@ shear lies above is in the rest points, and a pose is a rotation and a translati
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdPhysics
+from pxr import Sdf, Usd, UsdGeom, UsdPhysics
 
 from plait.pipeline.config import Config
 from plait.pipeline.read import parameters
+from plait.pipeline.read.approximation import bounding_shape, tell_of_approximation
 from plait.pipeline.read.masses import Part, read_mass
-from plait.pipeline.read.motions import WorldToLocal
+from plait.pipeline.read.motions import Placement, WorldToLocal, transform
 from plait.pipeline.read.parameter_table import RIGID
 from plait.pipeline.read.roles import Role
 from plait.pipeline.read.solids import solid_shape
@@ -23,7 +24,47 @@ from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Bodies, Body
 from plait.pipeline.read.turns import rotation_of
 from plait.pipeline.shot import TransformOutput
-from plait.solver.scene import RigidBody, StaticMotion, Surface
+from plait.solver.scene import Joint, Motion, Pose, RigidBody, Surface
+
+# The largest over the smallest scale of a body that still has a volume.
+FLATTEST = 1e8
+
+
+@dataclass
+class HeldMotion:
+    """Where the animation has a body until it is released: rest space to world, rigid."""
+
+    source: Source
+    placement: Placement
+
+    @property
+    def animated(self) -> bool:
+        return self.placement.animated
+
+    def pose(self, time: float) -> Pose:
+        """What changes the body's shape after the first frame plays no part."""
+        code = self.source.code(time)
+        matrix = self.placement.metric(code)
+        if not np.isfinite(matrix).all():
+            name, mend = "xformOpOrder", "mend the transform operations"
+            raise self.source.error(f"is not finite at time code {code:g}", self.placement.prim, name, mend)
+        linear = matrix[:3, :3] @ np.linalg.inv(self.placement.at_start[:3, :3])
+        matrix[:3, :3] = rotation_of(linear) if self.animated else np.eye(3)
+        return Pose(matrix[None])
+
+
+@dataclass
+class FromRest:
+    """time [s] -> (4, 4), rest space to scene coordinates, where the shot has the body's prim, and how large."""
+
+    source: Source
+    placement: Placement
+    to_own: np.ndarray
+
+    def __call__(self, time: float) -> np.ndarray:
+        matrix = self.placement.metric(self.source.code(time))
+        matrix[:3, :3] *= self.source.units.meters_per_unit
+        return matrix @ self.to_own
 
 
 class Props:
@@ -51,9 +92,15 @@ class Props:
         return len(self.paths)
 
     def placement(self, path: str) -> np.ndarray:
-        """(4, 4), the prim's own space [stage units] to scene coordinates [m], at the first frame."""
+        """(4, 4), the prim's own space [stage units] to scene coordinates [m], at the first frame.
+
+        Raises InputError where it is flat.
+        """
         matrix = self._source.metric(self._source.placed_at_start(self._prim(path)))
         matrix[:3, :3] *= self._source.units.meters_per_unit
+        if not np.any(matrix[:3, :3]) or np.linalg.cond(matrix[:3, :3]) > FLATTEST:
+            mend = "scale it by more than 0"
+            raise self._source.error("is scaled to nothing along an axis", self._prim(path), "xformOpOrder", mend)
         return matrix
 
     def rest(self, path: str) -> np.ndarray:
@@ -70,6 +117,18 @@ class Props:
         """How the bodies' prims get their transforms back."""
         return tuple(self._output(index, path) for index, path in enumerate(self.paths))
 
+    def carrying(self, path: str) -> int | None:
+        """Which body, if any, carries the space of the prim at `path`, which may be still to be made."""
+        prim = self._source.stage.GetPrimAtPath(path)
+        while path != "/":
+            if prim and UsdGeom.Xformable(prim).GetResetXformStack():
+                return None
+            path = str(Sdf.Path(path).GetParentPath())
+            if path in self.paths:
+                return self.paths.index(path)
+            prim = self._source.stage.GetPrimAtPath(path)
+        return None
+
     def _prim(self, path: str) -> Usd.Prim:
         return self._source.stage.GetPrimAtPath(path)
 
@@ -85,30 +144,38 @@ class Props:
 
     def _carry(self) -> None:
         for index, path in enumerate(self.paths):
-            place = self.placement(path)[:3, 3]
-            held = self._parts[path]
+            held, motion = self._parts[path], self._motion(path)
             for k, part in enumerate(held):
-                held[k] = replace(part, body=self._carried(part, index, place))
+                held[k] = replace(part, body=self._carried(part, index, motion))
                 self._surfaces.replace(held[k].body)
 
-    def _carried(self, part: Part, index: int, place: np.ndarray) -> Body:
-        """The part's surface in the rest space of the body whose prim has its origin at `place` [m]."""
+    def _motion(self, path: str) -> HeldMotion:
+        return HeldMotion(self._source, Placement(self._source, self._prim(path)))
+
+    def _carried(self, part: Part, index: int, motion: Motion) -> Body:
+        """The part's surface in the rest space of its body."""
         body, given = part.body, part.given
+        place = self.placement(self.paths[index])[:3, 3]
         points = body.posed - place
         own_to_rest = self.placement(body.path)
         own_to_rest[:3, 3] -= place
         to_world = np.eye(4)
         to_world[:3, 3] = place
+        shape = solid_shape(self._source, body.prim, own_to_rest)
+        if shape is None:
+            own = transform(np.linalg.inv(own_to_rest), points)
+            shape = bounding_shape(self._source, body.prim, own, own_to_rest)
         surface = replace(
             body.surface,
             points=points,
             triangles=_outward(points, body.surface.triangles),
-            motion=StaticMotion(to_world),
+            motion=motion,
             thickness=given["clearance"],
             friction=given["friction"] if "friction" in given else None,
             rigid=index,
-            shape=solid_shape(self._source, body.prim, own_to_rest),
+            shape=shape,
         )
+        tell_of_approximation(self._source, body.prim, surface)
         return replace(
             body, surface=surface, rest_to_world=to_world, own_to_rest=own_to_rest, bind_to_rest=own_to_rest
         )
@@ -116,8 +183,6 @@ class Props:
     def _rigid_body(self, index: int, path: str, surfaces: Sequence[Surface]) -> RigidBody:
         prim, parts = self._prim(path), self._parts[path]
         mass = read_mass(self._source, prim, parts, self.rest(path))
-        to_world = np.eye(4)
-        to_world[:3, 3] = self.placement(path)[:3, 3]
         linear, angular = self._velocities(prim)
         return RigidBody(
             name=path,
@@ -125,14 +190,18 @@ class Props:
             mass=mass.mass,
             center_of_mass=mass.center,
             inertia=mass.inertia,
-            motion=StaticMotion(to_world),
+            motion=self._motion(path),
             velocity=linear,
             angular_velocity=angular,
             restitution=max((part.given["restitution"] for part in parts), default=0.0),
         )
 
     def _velocities(self, prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray]:
-        """[m/s], and [rad/s] from degrees; world, from the space that the prim's transform is in."""
+        """(3,) [m/s] and (3,) [rad/s], world.
+
+        UsdPhysicsRigidBodyAPI has them "in the same space as the node's xform": that of the prim's parent, which
+        may turn and scale; in stage units and degrees a second. A scale changes no turning.
+        """
         source, body = self._source, UsdPhysics.RigidBodyAPI(prim)
         if body.GetStartsAsleepAttr().Get(source.start):
             source.warn("is ignored: bodies start awake", prim, "physics:startsAsleep")
@@ -150,9 +219,26 @@ class Props:
         prim = self._prim(path)
         # What moves with another body would be carried by it a second time.
         nested = any(path.startswith(f"{other}/") for other in self.paths)
+        if nested and not UsdGeom.Xformable(prim).GetResetXformStack():
+            self._source.warn("is within another rigid body, and does not move with it", prim, "xformOpOrder")
         resets = nested or UsdGeom.Xformable(prim).GetResetXformStack()
         frame = self._source.stage.GetPseudoRoot() if resets else prim.GetParent()
-        return TransformOutput(path, index, self.rest(path), WorldToLocal(self._source, frame), resets)
+        rest = self.rest(path)
+        in_shot = FromRest(self._source, Placement(self._source, prim), np.linalg.inv(rest))
+        return TransformOutput(path, index, rest, WorldToLocal(self._source, frame), in_shot, resets)
+
+
+def describe(bodies: Sequence[RigidBody], joints: Sequence[Joint]) -> dict[str, str]:
+    """By prim path, what a report says of bodies and joints."""
+    told = {}
+    for body in bodies:
+        about = ", ".join(f"{value:.3g}" for value in np.linalg.eigvalsh(body.inertia))
+        told[body.name] = f"{body.mass:.4g} kg, inertia {about} kg m2, {len(body.surfaces)} colliders"
+    for joint in joints:
+        first, second = ("the world" if side is None else bodies[side].name for side in joint.bodies)
+        driven = ", driven" if joint.drive is not None else ""
+        told[joint.name] = f"{joint.kind}{driven}: holds {second} to {first}"
+    return told
 
 
 def _frame_of(prim: Usd.Prim) -> Usd.Prim:

@@ -291,6 +291,8 @@ class _Assignment:
             )
         body = self._source.stage.GetPrimAtPath(role.body)
         reason = self._why_unwritable(body)
+        if not reason and _under_instancer(body):
+            reason = "a prototype of a PointInstancer; make prims of its instances"
         if not reason and not any(part.body == role.body and part.collides for part in self._parts_of(body)):
             massive = body.HasAPI(UsdPhysics.MassAPI) and body.GetAttribute("physics:mass").HasAuthoredValue()
             reason = "" if massive else "has neither a collider nor a mass; apply PhysicsCollisionAPI to its shape"

@@ -50,12 +50,12 @@ def _sphere(source: Source, prim: Usd.Prim) -> Polygons:
 
 def _cylinder(source: Source, prim: Usd.Prim) -> Polygons:
     radius, half = _size(source, prim, "radius"), 0.5 * _size(source, prim, "height")
-    return _lathe(np.array([0.0, radius, radius, 0.0]), np.array([-half, -half, half, half]), _axis(prim))
+    return _lathe(np.array([0.0, radius, radius, 0.0]), np.array([-half, -half, half, half]), _axis(source, prim))
 
 
 def _cone(source: Source, prim: Usd.Prim) -> Polygons:
     radius, half = _size(source, prim, "radius"), 0.5 * _size(source, prim, "height")
-    return _lathe(np.array([0.0, radius, 0.0]), np.array([-half, -half, half]), _axis(prim))
+    return _lathe(np.array([0.0, radius, 0.0]), np.array([-half, -half, half]), _axis(source, prim))
 
 
 def _capsule(source: Source, prim: Usd.Prim) -> Polygons:
@@ -65,22 +65,30 @@ def _capsule(source: Source, prim: Usd.Prim) -> Polygons:
     profile = np.concatenate([lower, (lower * [1.0, -1.0])[::-1]])
     if half == 0.0:
         profile = np.delete(profile, len(lower), axis=0)
-    return _lathe(profile[:, 0], profile[:, 1], _axis(prim))
+    return _lathe(profile[:, 0], profile[:, 1], _axis(source, prim))
 
 
 def _plane(source: Source, prim: Usd.Prim) -> Polygons:
     width, length = 0.5 * _size(source, prim, "width"), 0.5 * _size(source, prim, "length")
     corners = np.array([[-width, -length, 0], [width, -length, 0], [width, length, 0], [-width, length, 0]], float)
-    return corners @ turn_from_z(_axis(prim)).T, np.array([4]), np.arange(4)
+    return corners @ turn_from_z(_axis(source, prim)).T, np.array([4]), np.arange(4)
 
 
-def turn_to_axis(prim: Usd.Prim) -> np.ndarray:
+def turn_to_axis(source: Source, prim: Usd.Prim) -> np.ndarray:
     """(3, 3), the rotation that takes Z to the prim's axis."""
-    return turn_from_z(_axis(prim))
+    return turn_from_z(_axis(source, prim))
 
 
-def _axis(prim: Usd.Prim) -> str:
-    return str(prim.GetAttribute("axis").Get())
+def _axis(source: Source, prim: Usd.Prim) -> str:
+    return checked_axis(source, prim.GetAttribute("axis"))
+
+
+def checked_axis(source: Source, attribute: Usd.Attribute) -> str:
+    """Raises InputError for what is none of X, Y and Z."""
+    axis = str(attribute.Get(source.start))
+    if axis not in ("X", "Y", "Z"):
+        raise source.error(f"is {axis!r}", attribute.GetPrim(), attribute.GetName(), "author X, Y or Z")
+    return axis
 
 
 def turn_from_z(axis: str) -> np.ndarray:

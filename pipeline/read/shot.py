@@ -11,16 +11,19 @@ from pxr import Tf, Usd, UsdGeom, UsdUtils
 from plait.pipeline.config import Config
 from plait.pipeline.read import curves as drawn
 from plait.pipeline.read import parameters, roles, values
+from plait.pipeline.read.approximation import tell_of_approximation
 from plait.pipeline.read.extents import Neighbourhood
+from plait.pipeline.read.filtering import read_filtered
 from plait.pipeline.read.grains import Heaps, middle_of
 from plait.pipeline.read.gravity import read_gravity
 from plait.pipeline.read.groom import Groom
 from plait.pipeline.read.grooms import Assembly, read_grooms, tell_of_skipped
 from plait.pipeline.read.guides import choose_leaders
-from plait.pipeline.read.joints import read_filtered, read_joints
+from plait.pipeline.read.joint_kinds import take_drafts
+from plait.pipeline.read.joints import read_joints
 from plait.pipeline.read.parameter_table import COLLIDER, FLESH
 from plait.pipeline.read.polygons import mesh_sizes
-from plait.pipeline.read.rigid import Props
+from plait.pipeline.read.rigid import Props, describe
 from plait.pipeline.read.roles import Role
 from plait.pipeline.read.roots import find_roots
 from plait.pipeline.read.skeletons import Skeletons
@@ -59,6 +62,7 @@ class _Reader:
         self.frames = frames or (source.info.start, source.info.end)
         self.skeletons = Skeletons(source)
         self.bodies = Bodies(source, self.skeletons)
+        take_drafts(source)
         self.roles = roles.assign(source, self.skeletons)
 
     def shot(self) -> Shot:
@@ -88,17 +92,22 @@ class _Reader:
             filtered=read_filtered(self.source, surfaces),
             granular=heaps.granular,
             granular_start=heaps.start,
+            rigid_start=heaps.start,
         )
         tell_of_skipped(self.source, self.roles)
-        reports = tuple(self._report(role, carrying, grooms, tissues, heaps) for role in self.roles)
+        told = describe(scene.rigid_bodies, scene.joints)
+        reports = tuple(self._report(role, carrying, grooms, tissues, heaps, told) for role in self.roles)
         meshes = (*(tissue.output for tissue in tissues.values()), *self._riders(tissues))
+        curves = assembly.outputs()
+        carried = {o.prim_path: props.carrying(o.prim_path) for o in (*curves, *meshes, *heaps.outputs)}
         return Shot(
             self.source.info,
             scene,
-            assembly.outputs(),
+            curves,
             reports,
             meshes=meshes,
             props=props.outputs(),
+            on_props={path: prop for path, prop in carried.items() if prop is not None},
             grains=heaps.outputs,
         )
 
@@ -251,6 +260,7 @@ class _Reader:
 
     def _with_contact(self, body: Body) -> Surface:
         given = parameters.resolve(self.source, body.prim, COLLIDER, self.config)
+        tell_of_approximation(self.source, body.prim, body.surface)
         return replace(
             body.surface, thickness=given["clearance"], friction=given["friction"] if "friction" in given else None
         )
@@ -270,6 +280,7 @@ class _Reader:
         grooms: list[Groom],
         tissues: dict[str, Tissue],
         heaps: Heaps,
+        rigid: dict[str, str],
     ) -> PrimReport:
         prim = role.prim
         path = str(prim.GetPath())
@@ -287,7 +298,7 @@ class _Reader:
         if path in tissues:
             sizes |= tissues[path].sizes
         sizes |= heaps.sizes.get(path, {})
-        told = heaps.told(path)
+        told = heaps.told(path) or rigid.get(path, "")
         recognised += f"; {told}" if told else ""
         roots = groom.rooted.how if groom else ""
         if groom and groom.free.any():

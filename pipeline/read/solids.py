@@ -7,7 +7,7 @@ from pxr import Usd, UsdGeom
 
 from plait.pipeline.read.shapes import turn_to_axis
 from plait.pipeline.read.source import Source
-from plait.solver.scene import Shape
+from plait.solver.scene import Shape, ShapeKind
 
 # How far from square axes, or from one scale, a transform's float32 rounding takes it.
 ROUNDING = 1e-5
@@ -22,19 +22,27 @@ def solid_shape(source: Source, prim: Usd.Prim, placed: np.ndarray) -> Shape | N
     kind = next((kind for schema, kind in KINDS.items() if prim.IsA(schema)), None)
     if kind is None:
         return None
-    turn = np.eye(3) if kind in ("box", "sphere") else turn_to_axis(prim)
-    linear = placed[:3, :3] @ turn
-    scale = np.linalg.norm(linear, axis=0)
-    axes = linear / scale
+    placed = placed.copy()
+    if kind not in ("box", "sphere"):
+        placed[:3, :3] = placed[:3, :3] @ turn_to_axis(source, prim)
+    return shape_in(source, prim, kind, _size(source, prim, kind), placed)
+
+
+def shape_in(
+    source: Source, prim: Usd.Prim, kind: ShapeKind, size: np.ndarray, placed: np.ndarray
+) -> Shape | None:
+    """A shape of `size` (3,) in the space that `placed` leads from, or None, as of `solid_shape`."""
+    scale = np.linalg.norm(placed[:3, :3], axis=0)
+    axes = placed[:3, :3] / scale
     if not (_square(axes) and _keeps(kind, scale)):
-        source.warn(f"is no {prim.GetTypeName()} as it is scaled; its polygons touch", prim, "xformOpOrder")
+        source.warn(f"is no {NAMES[kind]} as it is scaled; its polygons touch", prim, "xformOpOrder")
         return None
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] = -axes[:, 0]  # mirrored: the same shape
     frame = np.eye(4)
     frame[:3, :3], frame[:3, 3] = axes, placed[:3, 3]
     along = scale if kind in ("box", "sphere") else scale[[0, 2, 2]]
-    return Shape(kind, _size(source, prim, kind) * along, frame)
+    return Shape(kind, size * along, frame)
 
 
 KINDS = {
@@ -44,6 +52,7 @@ KINDS = {
     UsdGeom.Cone: "cone",
     UsdGeom.Capsule: "capsule",
 }
+NAMES = {"box": "box", "sphere": "ball", "cylinder": "cylinder", "cone": "cone", "capsule": "capsule"}
 
 
 def _size(source: Source, prim: Usd.Prim, kind: str) -> np.ndarray:

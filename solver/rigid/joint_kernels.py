@@ -11,17 +11,19 @@ from __future__ import annotations
 import warp as wp
 
 from plait.solver.rigid.joint_pose_kernels import (
-    PRISMATIC,
     Joints,
+    begin_drive,
     body_orientation,
     body_position,
     column,
+    drives,
     holds,
     joint_error,
     joint_pose,
     limit_state,
     mat66d,
     pose_at_start,
+    slides,
     vec6d,
 )
 from plait.solver.rigid.motion_kernels import ONE, ZERO, Masses, Motion
@@ -59,7 +61,15 @@ def inverted(matrix: mat66d) -> mat66d:
 
 
 @wp.func
-def begin_joint(joints: Joints, masses: Masses, motion: Motion, start: Start, j: int, exit_distance: wp.float64):
+def begin_joint(
+    joints: Joints,
+    masses: Masses,
+    motion: Motion,
+    start: Start,
+    j: int,
+    length: wp.float64,
+    exit_distance: wp.float64,
+):
     """Rows and their response at the substep's start. What is apart is led back by `exit_distance` [m] at most."""
     pair = joints.body[j]
     kind = joints.kind[j]
@@ -93,7 +103,8 @@ def begin_joint(joints: Joints, masses: Masses, motion: Motion, start: Start, j:
             else:
                 torque_k = column(axes, k - 3)
             value = ZERO
-            if holds(kind, i) and holds(kind, k):
+            driven = i == k and drives(joints, j, i)
+            if driven or (holds(kind, i) and holds(kind, k)):
                 if a >= 0:
                     spin = row_response(masses, start, a, force_k, torque_k, joints.lever_a[j])
                     value += wp.dot(force_i, force_k) / masses.mass[a]
@@ -104,6 +115,8 @@ def begin_joint(joints: Joints, masses: Masses, motion: Motion, start: Start, j:
                     value += wp.dot(wp.cross(joints.lever_b[j], force_i) + torque_i, spin)
             elif i == k:
                 value = ONE
+            if driven:
+                value += begin_drive(joints, j, pose, value, length)
             response[i, k] = value
     joints.inverse[j] = inverted(response)
 
@@ -171,7 +184,7 @@ def limited(joints: Joints, j: int) -> bool:
 
 @wp.func
 def limit_speed(joints: Joints, j: int, relative: Relative) -> wp.float64:
-    if joints.kind[j] == PRISMATIC:
+    if slides(joints.kind[j]):
         return wp.dot(joints.limit_axis[j], relative.velocity)
     return wp.dot(joints.limit_axis[j], relative.spin)
 
@@ -250,7 +263,7 @@ def apply_limit(
     j: int,
     change: wp.float64,
 ):
-    if joints.kind[j] == PRISMATIC:
+    if slides(joints.kind[j]):
         push_pair(joints, masses, motion, start, spin, j, change * joints.limit_axis[j], wp.vec3d())
     else:
         push_pair(joints, masses, motion, start, spin, j, wp.vec3d(), change * joints.limit_axis[j])
@@ -266,11 +279,32 @@ def limit_response(joints: Joints, masses: Masses, start: Start, j: int) -> wp.f
         if b >= 0:
             lever = wp.where(side == 0, joints.lever_a[j], joints.lever_b[j])
             moment = axis
-            if joints.kind[j] == PRISMATIC:
+            if slides(joints.kind[j]):
                 moment = wp.cross(lever, axis)
                 out += ONE / masses.mass[b]
             out += wp.dot(moment, start.inertia_inverse[b] * moment)
     return out
+
+
+@wp.func
+def solve_drive(
+    joints: Joints, masses: Masses, motion: Motion, start: Start, spin: wp.array(dtype=wp.vec3d), j: int
+) -> wp.float64:
+    """A drive's part of a sweep; the change of its speed [m/s], [1/s]."""
+    speeds = row_speeds(joints, j, relative_motion(joints, motion, spin, j))
+    rate = joints.drive_rate[j]
+    most = ZERO
+    for k in range(6):
+        if drives(joints, j, k):
+            held = joints.impulse[j][k]
+            now = held - joints.inverse[j][k, k] * (speeds[k] + rate[1] + rate[0] * held)
+            now = wp.clamp(now, -rate[2], rate[2])
+            change = vec6d()
+            change[k] = now - held
+            joints.impulse[j] = joints.impulse[j] + change
+            apply_rows(joints, masses, motion, start, spin, j, change)
+            most = wp.abs(change[k]) / joints.inverse[j][k, k]
+    return most
 
 
 @wp.func
@@ -288,6 +322,8 @@ def solve_joint(
     change = -(joints.inverse[j] * lack)
     joints.impulse[j] = joints.impulse[j] + change
     apply_rows(joints, masses, motion, start, spin, j, change)
+    if joints.driven[j] > 0:
+        most = wp.max(most, solve_drive(joints, masses, motion, start, spin, j))
     if limited(joints, j):
         response = limit_response(joints, masses, start, j)
         for k in range(2):

@@ -12,6 +12,7 @@ FIXED = wp.constant(0)
 REVOLUTE = wp.constant(1)
 SPHERICAL = wp.constant(2)
 PRISMATIC = wp.constant(3)
+DISTANCE = wp.constant(4)
 TWO = wp.constant(wp.float64(2.0))
 
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
@@ -32,7 +33,10 @@ class Joints:
     turn_start: wp.array(dtype=wp.quatd)
     lower: wp.array(dtype=wp.float64)  # [rad] or [m]; -inf: no limit
     upper: wp.array(dtype=wp.float64)
-    impulse: wp.array(dtype=vec6d)  # [kg m/s], [kg m2/s] on the second body, along the rows
+    driven: wp.array(dtype=wp.int32)  # 0: not; 1: by a force; 2: by one for an inertia of one
+    drive: wp.array(dtype=wp.vec4d)  # stiffness, damping, target, target velocity; see `plait.solver.scene.Drive`
+    drive_most: wp.array(dtype=wp.float64)  # [N] or [N m]
+    impulse: wp.array(dtype=vec6d)  # [kg m/s], [kg m2/s] on the second body, along the rows; a drive's on its own
     limit_impulse: wp.array(dtype=wp.vec2d)  # at the lower limit, at the upper: not negative
     # of a substep
     axes: wp.array(dtype=wp.mat33d)  # columns
@@ -43,6 +47,9 @@ class Joints:
     limit_axis: wp.array(dtype=wp.vec3d)
     limit_bias: wp.array(dtype=wp.vec2d)  # distance left to each limit over the length of the substep
     error: wp.array(dtype=vec6d)  # [m], [rad] at the start, as far as it is to stay
+    drive_rate: wp.array(
+        dtype=wp.vec3d
+    )  # what a drive's row lacks: its softness, its bias; and its largest impulse
     held: wp.array(dtype=vec6d)  # impulses before the last sweep, and how they go on
     ahead: wp.array(dtype=vec6d)
     limit_held: wp.array(dtype=wp.vec2d)
@@ -68,7 +75,19 @@ def holds(kind: int, row: int) -> bool:
         return row != 5
     if kind == PRISMATIC:
         return row != 2
-    return True
+    return kind == FIXED
+
+
+@wp.func
+def slides(kind: int) -> bool:
+    """Whether what a joint's limits bound is a way, not a turn."""
+    return kind == PRISMATIC or kind == DISTANCE
+
+
+@wp.func
+def drives(joints: Joints, j: int, row: int) -> bool:
+    """Whether a row is the one that the joint's drive acts along."""
+    return joints.driven[j] > 0 and row == wp.where(joints.kind[j] == REVOLUTE, 5, 2)
 
 
 @wp.func
@@ -165,6 +184,11 @@ def limit_state(kind: int, pose: JointPose) -> LimitState:
     out.axis = z_a
     if kind == PRISMATIC:
         out.value = wp.dot(z_a, pose.place_b - pose.place_a)
+    if kind == DISTANCE:
+        apart = pose.place_b - pose.place_a
+        out.value = wp.length(apart)
+        if out.value > ZERO:
+            out.axis = apart / out.value
     if kind == REVOLUTE:
         q = between(pose)
         out.value = TWO * wp.atan2(q[2], q[3])
@@ -176,3 +200,24 @@ def limit_state(kind: int, pose: JointPose) -> LimitState:
         if sine > wp.float64(1e-12):
             out.axis = lean / sine
     return out
+
+
+@wp.func
+def begin_drive(joints: Joints, j: int, pose: JointPose, response: wp.float64, length: wp.float64) -> wp.float64:
+    """Of a drive's row, whose impulse moves it by `response`: what is to be added to that.
+
+    At the end of the step, with speed v, the impulse is -h [k (x + h v - x*) + c (v - v*)] (backward Euler), that
+    is, v + bias + softness impulse = 0.
+    """
+    drive = joints.drive[j]
+    scale = ONE
+    if joints.driven[j] == 2:
+        scale = ONE / response
+    away = limit_state(joints.kind[j], pose).value - drive[2]
+    if joints.kind[j] == REVOLUTE:
+        away = wp.atan2(wp.sin(away), wp.cos(away))
+    strength = length * drive[0] + drive[1]
+    softness = ONE / (scale * length * strength)
+    bias = (drive[0] * away - drive[1] * drive[3]) / strength
+    joints.drive_rate[j] = wp.vec3d(softness, bias, length * joints.drive_most[j])
+    return softness

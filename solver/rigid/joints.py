@@ -9,6 +9,7 @@ from plait.solver.diagnostics import Refused
 from plait.solver.model import Interval, Model
 from plait.solver.rigid import joint_pose_kernels as kernels
 from plait.solver.rigid.quaternions import quaternion
+from plait.solver.scene import Drive
 from plait.solver.state import State
 
 KINDS = {
@@ -16,6 +17,7 @@ KINDS = {
     "revolute": kernels.REVOLUTE,
     "spherical": kernels.SPHERICAL,
     "prismatic": kernels.PRISMATIC,
+    "distance": kernels.DISTANCE,
 }
 SUBSTEP = {
     "axes": wp.mat33d,
@@ -27,6 +29,7 @@ SUBSTEP = {
     "limit_bias": wp.vec2d,
     "limit_impulse": wp.vec2d,
     "error": kernels.vec6d,
+    "drive_rate": wp.vec3d,
     "held": kernels.vec6d,
     "ahead": kernels.vec6d,
     "limit_held": wp.vec2d,
@@ -63,6 +66,11 @@ class JointTable:
         self.joints.body = hold(np.array(bodies).reshape(-1, 2), wp.vec2i)
         self.joints.kind = hold([KINDS[joint.kind] for joint in self.scene_joints], wp.int32)
         self.joints.lower, self.joints.upper = hold(bounds[:, 0], wp.float64), hold(bounds[:, 1], wp.float64)
+        drives = [joint.drive for joint in self.scene_joints]
+        self.joints.driven = hold([_driven(drive) for drive in drives], wp.int32)
+        rows = [(d.stiffness, d.damping, d.target, d.target_velocity) if d else np.zeros(4) for d in drives]
+        self.joints.drive = hold(np.array(rows).reshape(-1, 4), wp.vec4d)
+        self.joints.drive_most = hold([drive.most if drive else 0.0 for drive in drives], wp.float64)
         place, turn = self._frames(model.start_time)
         self.joints.place, self.joints.turn = hold(place, wp.vec3d), hold(turn, wp.quatd)
         self.joints.place_start, self.joints.turn_start = wp.clone(self.joints.place), wp.clone(self.joints.turn)
@@ -96,6 +104,12 @@ class JointTable:
                 places.append(held[:3, 3] - (0.0 if body is None else self._centers[body]))
                 turns.append(quaternion(held[:3, :3]))
         return np.array(places).reshape(-1, 3), np.array(turns).reshape(-1, 4)
+
+
+def _driven(drive: Drive | None) -> int:
+    if drive is None or not (drive.stiffness > 0.0 or drive.damping > 0.0):
+        return 0
+    return 2 if drive.per_inertia else 1
 
 
 def _bounds(joint: object) -> tuple[float, float]:

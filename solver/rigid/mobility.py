@@ -115,8 +115,8 @@ def _joint_rows(stage: RigidStage) -> Iterator[_Row]:
         levers = tuple(anchor - position[k] if k >= 0 else np.zeros(3) for k in bodies)
         frame = rotation_matrix(turn[2 * j])
         x, y, z = (frame if a < 0 else rotation[a] @ frame).T
-        ways = (x, y) if joint.kind == "prismatic" else (x, y, z)
-        turns = {"fixed": (x, y, z), "prismatic": (x, y, z), "revolute": (x, y), "spherical": ()}[joint.kind]
+        ways = {"prismatic": (x, y), "distance": ()}.get(joint.kind, (x, y, z))
+        turns = {"fixed": (x, y, z), "prismatic": (x, y, z), "revolute": (x, y)}.get(joint.kind, ())
         for way in ways:
             yield _row(bodies, levers, way)
         for axis in turns:
@@ -130,7 +130,7 @@ def _support_rows(stage: RigidStage) -> Iterator[_Row]:
     for j in np.flatnonzero(at_limit):
         joint = stage.joints.scene_joints[j]
         bodies = _bodies_of(joint)
-        if joint.kind == "prismatic":
+        if joint.kind in ("prismatic", "distance"):
             yield _row(bodies, (joints.lever_a.numpy()[j], joints.lever_b.numpy()[j]), axis[j])
         else:
             yield _turn_row(bodies, axis[j])

@@ -92,12 +92,14 @@ def meet_points(
         x = place.x
         inside_lower = wp.min(x - boxes.lower[b] + grown, boxes.upper[b] + grown - x)
         if wp.min(inside_lower) >= ZERO:
-            # What meets an open surface for the first time belongs where its body mostly is.
+            # What meets an open surface for the first time belongs where its geom mostly is: a centre of mass may
+            # be anywhere.
             witness = x
             if before >= 0:
                 witness = x + FAR * kept.normal[before]
             elif geoms.body[a] >= 0:
-                witness = motion.position[geoms.body[a]]
+                body = geoms.body[a]
+                witness = motion.position[body] + wp.quat_rotate(motion.orientation[body], geoms.center[a])
             rim = wp.length_sq(place.axis) > ZERO
             arm = wp.vec3d()
             # Looked for from a little within the point's own body, the side is told also where both bodies end.

@@ -31,3 +31,10 @@ def rotation_matrix(q: np.ndarray) -> np.ndarray:
             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
+
+
+def turned_by(vector: np.ndarray) -> np.ndarray:
+    """(3, 3), exp of a rotation vector (3,) [rad]."""
+    angle = np.linalg.norm(vector)
+    half = 0.5 * np.sinc(0.5 * angle / np.pi) * vector
+    return rotation_matrix(np.append(half, np.cos(0.5 * angle)))

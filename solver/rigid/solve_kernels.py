@@ -166,7 +166,7 @@ def solve_islands(
     bound = effort.tolerance * fastest
     for i in range(joint_begin, joint_end):
         j = islands.joint[i]
-        begin_joint(joints, masses, motion, start, j, exit_distance)
+        begin_joint(joints, masses, motion, start, j, length, exit_distance)
         apply_rows(joints, masses, motion, start, work.spin, j, joints.impulse[j])
         joints.limit_impulse[j] = wp.vec2d()
     for i in range(contact_begin, contact_end):

@@ -16,7 +16,7 @@ from plait.solver.rigid.contact import RigidContact
 from plait.solver.rigid.joints import JointTable
 from plait.solver.rigid.motion_kernels import Masses, Motion
 from plait.solver.rigid.place_kernels import place_points
-from plait.solver.rigid.quaternions import quaternion, rotation_matrix
+from plait.solver.rigid.quaternions import quaternion, rotation_matrix, turned_by
 from plait.solver.rigid.row_kernels import Work
 from plait.solver.rigid.solve_kernels import advance_bodies
 from plait.solver.rigid.types import Start, Step
@@ -46,7 +46,7 @@ def build(model: Model, state: State) -> RigidStage | None:
 
 
 class RigidStage:
-    """All rigid bodies of a scene.
+    """All rigid bodies of a scene; until `Scene.rigid_start` they are where their motions take them.
 
     position: (body_count,) vec3d [m] of the centres of mass, world.
     orientation: (body_count,) quatd, unit, from the axes of rest space to world.
@@ -69,7 +69,7 @@ class RigidStage:
         for motion in (self.motion, self._before):
             for name, dtype in MOTION.items():
                 setattr(motion, name, wp.zeros(self._count, dtype=dtype, device=device))
-        self._place_at_start()
+        self._place(model.start_time)
         state.arrays |= {f"rigid/{name}": getattr(self.motion, name) for name in MOTION}
         self.position, self.orientation = self.motion.position, self.motion.orientation
         self.velocity, self.angular_momentum = self.motion.velocity, self.motion.angular_momentum
@@ -97,10 +97,11 @@ class RigidStage:
 
     # -- set-up --------------------------------------------------------------------------------------------
 
-    def _place_at_start(self) -> None:
+    def _place(self, time: float) -> None:
+        """Where the motions have the bodies at `time` [s], with the velocities that they start with."""
         places, turns, momenta = [], [], []
         for body in self.bodies:
-            transform = body.motion.pose(self._model.start_time).joint_transforms[0]
+            transform = body.motion.pose(time).joint_transforms[0]
             rotation = rigid_rotation(body, transform)
             places.append(rotation @ body.center_of_mass + transform[:3, 3])
             turns.append(quaternion(rotation))
@@ -175,7 +176,16 @@ class RigidStage:
         self.contact.retract()
         self._move(substep)
 
+    def held(self, substep: Interval) -> bool:
+        """Whether all bodies still go where their motions take them, and nothing moves them."""
+        return 0.5 * (substep.start + substep.end) < self._model.scene.rigid_start
+
     def _move(self, substep: Interval) -> None:
+        if self.held(substep):
+            self._place(substep.end)
+            self.motion.impulse.zero_()
+            self.motion.angular_impulse.zero_()
+            return
         self.joints.begin_substep(substep)
         self._begin()
         self.contact.solve(substep)
@@ -229,11 +239,15 @@ class RigidStage:
         """What places the points of each surface that a rigid body carries."""
         return {index: partial(self.place_surface, index) for index in self._points}
 
-    def pose(self, body: int) -> np.ndarray:
-        """(4, 4) from the body's rest space to world, now."""
-        out = np.eye(4)
+    def pose(self, body: int, ahead: float = 0.0) -> np.ndarray:
+        """(4, 4) from the body's rest space to world, now, or so much later [s] were it to fly on evenly."""
+        out, position = np.eye(4), self.position.numpy()[body]
         out[:3, :3] = rotation_matrix(self.orientation.numpy()[body])
-        out[:3, 3] = self.position.numpy()[body] - out[:3, :3] @ self.bodies[body].center_of_mass
+        if ahead:
+            position = position + ahead * self.velocity.numpy()[body]
+            spin = np.linalg.solve(self.bodies[body].inertia, out[:3, :3].T @ self.angular_momentum.numpy()[body])
+            out[:3, :3] = out[:3, :3] @ turned_by(ahead * spin)
+        out[:3, 3] = position - out[:3, :3] @ self.bodies[body].center_of_mass
         return out
 
     def end_frame(self, state: State, frame: Interval) -> dict[str, Any]:

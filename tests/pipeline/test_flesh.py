@@ -13,6 +13,7 @@ import trimesh
 from PIL import Image
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
+from plait.assets.stages import new_stage
 from plait.pipeline import preview
 from plait.pipeline.cli import main
 from plait.pipeline.compare import compare
@@ -27,12 +28,8 @@ LIMB, BLOB, HAIR = "/World/Body/Limb", "/World/Blob", "/World/Body/Hair"
 
 def write_shot(path: Path) -> Path:
     """In centimetres: a limb on two joints that swings, hair on it, and a tet mesh that falls beside it."""
-    stage = Usd.Stage.CreateNew(str(path))
-    stage.SetStartTimeCode(1)
-    stage.SetEndTimeCode(FRAMES)
-    stage.SetTimeCodesPerSecond(RATE)
+    stage = new_stage(path, (1, FRAMES), RATE)
     UsdGeom.SetStageMetersPerUnit(stage, 0.01)
-    UsdGeom.SetStageUpAxis(stage, "Y")
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
     root = UsdSkel.Root.Define(stage, "/World/Body")
     root.CreateExtentAttr([(-20, -20, -20), (20, 20, 20)])

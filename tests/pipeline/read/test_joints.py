@@ -92,6 +92,68 @@ def test_filtered_pairs(read) -> None:
     assert shot.scene.filtered == ((names.index("/A"), names.index("/B")),)
 
 
+def test_a_joint_keeps_what_it_holds_apart(read) -> None:
+    """Also from what is not simulated; unless it says otherwise."""
+    ground = 'def Cube "A" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {}\n'
+    for lines, count in (("", 1), ("bool physics:collisionEnabled = 1", 0)):
+        assert len(read(ground + _cube("B", 800) + _joint("Fixed", lines)).scene.filtered) == count
+
+
+def test_groups_that_do_not_collide(read) -> None:
+    """Members of one that filters itself, and of two of which one filters the other; a stranger touches all."""
+    group = """def PhysicsCollisionGroup "{name}" (prepend apiSchemas = ["CollectionAPI:colliders"])
+    {{
+        rel collection:colliders:includes = [{members}]
+        rel physics:filteredGroups = [{other}]
+    }}
+    """
+    cubes = "".join(_cube(name, 800 * k) for k, name in enumerate("ABCD"))
+    for other, expected in (("One", {"AB"}), ("Two", {"AC", "BC"})):
+        one = group.format(name="One", members="</A>, </B>", other=f"</{other}>")
+        two = group.format(name="Two", members="</C>", other="")
+        shot = read(cubes + one + two)
+        name = [surface.name[1:] for surface in shot.scene.surfaces]
+        assert {name[a] + name[b] for a, b in shot.scene.filtered} == expected
+
+
+@pytest.mark.parametrize("type_", ["force", "acceleration"])
+def test_drives_in_si(type_: str, read) -> None:
+    """kg, cm and degrees: 1 kg cm^2 / degree = 1e-4 * 180 / pi kg m^2 / rad."""
+    values = {"stiffness": 2, "damping": 3, "targetPosition": 90, "targetVelocity": 180, "maxForce": 5}
+    for kind, name in (("Revolute", "angular"), ("Prismatic", "linear")):
+        lines = [f"float drive:{name}:physics:{key} = {value}" for key, value in values.items()]
+        lines.append(f'uniform token drive:{name}:physics:type = "{type_}"')
+        applied = f'"J" (prepend apiSchemas = ["PhysicsDriveAPI:{name}"])'
+        drive = _only(read(BOTH + _joint(kind, "\n".join(lines)).replace('"J"', applied), meters=0.01)).drive
+        turns, mass = kind == "Revolute", type_ == "force"
+        angle = np.pi / 180.0 if turns else 0.01
+        scale = (1.0 / angle if turns else 1.0) * (1e-4 if turns and mass else 1.0)
+        assert drive.stiffness == pytest.approx(2.0 * scale) and drive.damping == pytest.approx(3.0 * scale)
+        assert drive.target == pytest.approx(90.0 * angle) and drive.target_velocity == pytest.approx(
+            180.0 * angle
+        )
+        assert drive.most == pytest.approx(5.0 * (1e-4 if turns else 0.01))
+        assert drive.per_inertia == (not mass)
+
+
+@pytest.mark.parametrize("name", ["PhysicsDistanceJoint", "DistancePhysicsJoint"])
+def test_distances(name: str, read) -> None:
+    """The latter is what drafts of UsdPhysics called it; below zero is no limit."""
+    for lower, upper, limits in ((10, 50, (0.1, 0.5)), (-1, 50, (-np.inf, 0.5)), (-1, -1, None)):
+        lines = f"float physics:minDistance = {lower}\nfloat physics:maxDistance = {upper}"
+        joint = _only(read(BOTH + _joint("Distance", lines).replace("PhysicsDistanceJoint", name), meters=0.01))
+        assert joint.kind == "distance" and joint.limits == (pytest.approx(limits) if limits else None)
+
+
+def test_what_joints_leave_unheeded_is_said(read) -> None:
+    applied = '"J" (prepend apiSchemas = ["PhysicsDriveAPI:angular"])'
+    joint = _joint("Fixed", "float physics:breakForce = 10").replace('"J"', applied)
+    warnings = read(BOTH + joint).warnings
+    assert any("physics:breakForce" in line for line in warnings) and any(
+        "drive:angular" in line for line in warnings
+    )
+
+
 @pytest.mark.parametrize(
     ("free", "kind"),
     [((), "fixed"), (("rotY",), "revolute"), (("transX",), "prismatic"), (("rotX", "rotY", "rotZ"), "spherical")],
@@ -115,3 +177,40 @@ def test_a_generic_joint_of_other_freedoms_is_refused(read) -> None:
     shot = read(BOTH + _joint(""))
     (prim,) = [prim for prim in shot.prims if prim.path == "/J"]
     assert not prim.supported and "PhysicsJoint" in prim.reason
+
+
+@pytest.mark.parametrize(
+    ("joint", "attribute"),
+    [
+        (_joint("Fixed", body1="/Gone"), "physics:body1"),
+        (_joint("Revolute", 'uniform token physics:axis = "Q"'), "physics:axis"),
+        (_joint("Fixed", "quatf physics:localRot0 = (0, 0, 0, 0)"), "physics:localRot0"),
+        (_joint("Fixed", "point3f physics:localPos1 = (nan, 0, 0)"), "physics:localPos1"),
+        (
+            _joint("Distance", "float physics:minDistance = 9\nfloat physics:maxDistance = 5"),
+            "physics:minDistance",
+        ),
+        (
+            _joint("Revolute", "float drive:angular:physics:damping = -1").replace(
+                '"J"', '"J" (prepend apiSchemas = ["PhysicsDriveAPI:angular"])'
+            ),
+            "drive:angular:physics:damping",
+        ),
+    ],
+)
+def test_joints_that_cannot_be_are_refused_by_name(joint: str, attribute: str, read) -> None:
+    with pytest.raises(InputError) as caught:
+        read(BOTH + joint)
+    assert "</J>" in str(caught.value) and attribute in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_joints_may_make_a_ring_but_not_hold_a_body_to_itself(read) -> None:
+    ring = _joint("Fixed") + _joint("Fixed", body0="/B", body1="/A").replace('"J"', '"K"')
+    assert len(read(BOTH + ring).scene.joints) == 2
+    shot = read(BOTH + _joint("Fixed", body1="/A"))
+    assert not shot.scene.joints and any("</J>" in warning for warning in shot.warnings)
+
+
+def test_the_report_tells_masses_and_joints(read) -> None:
+    told = {prim.path: prim.recognised for prim in read(BOTH + _joint("Revolute"), meters=0.01).prims}
+    assert "0.216 kg" in told["/A"] and "revolute: holds /B to /A" in told["/J"]

@@ -12,6 +12,16 @@ BODY = "PhysicsRigidBodyAPI", "PhysicsCollisionAPI", "PhysicsMassAPI"
 ROUNDING = 1e-6
 
 
+MESH = "int[] faceVertexCounts = [{}]\nint[] faceVertexIndices = [{}]\npoint3f[] points = [{}]"
+EMPTY, TRIANGLE = MESH.format("", "", ""), MESH.format("3", "0, 1, 2", "(0, 0, 0), (1, 0, 0), (0, 1, 0)")
+# A tetrahedron with a fifth point in its middle, to which one of its sides goes in.
+DENTED = MESH.format(
+    "3, 3, 3, 3, 3, 3",
+    "0, 1, 3, 0, 3, 2, 0, 2, 1, 1, 2, 4, 2, 3, 4, 3, 1, 4",
+    "(0, 0, 0), (4, 0, 0), (0, 4, 0), (0, 0, 4), (1, 1, 1)",
+)
+
+
 def _prim(
     kind: str, lines: str = "", schemas: tuple[str, ...] = BODY, inside: str = "", name: str = "Body"
 ) -> str:
@@ -89,6 +99,58 @@ def test_authored_inertia_turns_with_its_axes_and_the_prim(read) -> None:
     np.testing.assert_allclose(body.center_of_mass, [0.0, 1.0, 0.0], atol=1e-6)
 
 
+def test_a_part_has_its_own_centre_and_inertia(read) -> None:
+    """Of two balls one tells all; the body's follow by Steiner's theorem. Scales move its centre alone."""
+    lines = (
+        "float physics:mass = 2\npoint3f physics:centerOfMass = (0, 1, 0)\n"
+        "float3 physics:diagonalInertia = (1, 2, 3)\n"
+        "quatf physics:principalAxes = (0.70710678, 0, 0, 0.70710678)\n"
+    )
+    told = _prim("Sphere", lines + _place("float3 scale = (3, 3, 3)"), ("PhysicsCollisionAPI", "PhysicsMassAPI"))
+    plain = _prim("Sphere", "float physics:mass = 6", ("PhysicsCollisionAPI", "PhysicsMassAPI"), name="Plain")
+    body = _only(read(_prim("Xform", schemas=("PhysicsRigidBodyAPI",), inside=told + plain, name="All")))
+    # 2 kg at y = 3, turned a quarter about z, so of inertia (2, 1, 3); 6 kg at the origin.
+    assert body.mass == pytest.approx(8.0, rel=ROUNDING)
+    np.testing.assert_allclose(body.center_of_mass, [0.0, 0.75, 0.0], atol=1e-6)
+    apart, own = 2.0 * 6.0 / 8.0 * 3.0**2, 0.4 * 6.0
+    np.testing.assert_allclose(body.inertia, np.diag([2.0 + own + apart, 1.0 + own, 3.0 + own + apart]), atol=1e-5)
+
+
+def test_a_body_that_is_a_collider_itself_has_the_mass_of_all(read) -> None:
+    """Its 3 kg lie in itself and its part by volume: a ball of twice the radius has eight parts in nine."""
+    inner = _prim(
+        "Sphere", "double radius = 2\n" + _place("double3 translate = (9, 0, 0)"), BODY[1:2], name="Part"
+    )
+    body = _only(read(_prim("Sphere", "float physics:mass = 3", BODY, inner)))
+    assert body.mass == pytest.approx(3.0, rel=ROUNDING)
+    np.testing.assert_allclose(body.center_of_mass, [8.0, 0.0, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["Cube", "Sphere", "Cylinder", "Cone", "Capsule"])
+def test_masses_in_closed_form_off_the_centre(kind: str, read) -> None:
+    """Under a scale of 2, of a unit shape of density 500, 3 m off the body's origin."""
+    rho, r, h = 500.0, 2.0, 4.0
+    ball, barrel = 4.0 / 3.0 * np.pi * r**3, np.pi * r**2 * h
+    volume, center, about = {
+        "Cube": ((2 * r) ** 3, 0.0, (2 * r) ** 2 / 6.0),
+        "Sphere": (ball, 0.0, 0.4 * r**2),
+        "Cylinder": (barrel, 0.0, 0.5 * r**2),
+        "Cone": (barrel / 3.0, -h / 4.0, 0.3 * r**2),
+        "Capsule": (barrel + ball, 0.0, (0.5 * barrel + 0.4 * ball) * r**2 / (barrel + ball)),
+    }[kind]
+    size = {"Cube": "double size = 2", "Sphere": "double radius = 1"}.get(
+        kind, "double radius = 1\ndouble height = 2"
+    )
+    lines = f"{size}\nfloat physics:density = {rho}\n" + _place(
+        "double3 translate = (3, 0, 0)", "float3 scale = (2, 2, 2)"
+    )
+    part = _prim(kind, lines, ("PhysicsCollisionAPI", "PhysicsMassAPI"), name="Part")
+    body = _only(read(_prim("Xform", schemas=("PhysicsRigidBodyAPI",), inside=part)))
+    assert body.mass == pytest.approx(rho * volume, rel=1e-6)
+    np.testing.assert_allclose(body.center_of_mass, [3.0, 0.0, center], atol=1e-6)
+    assert body.inertia[2, 2] == pytest.approx(rho * volume * about, rel=1e-6)
+
+
 def test_velocities_are_in_degrees_and_the_parents_space(read) -> None:
     inner = _prim(
         "Cube", "vector3f physics:velocity = (100, 0, 0)\nvector3f physics:angularVelocity = (180, 0, 0)"
@@ -96,6 +158,10 @@ def test_velocities_are_in_degrees_and_the_parents_space(read) -> None:
     turned = f'def Xform "Up"\n{{\n{_place("double rotateZ = 90")}\n{inner}}}\n'
     body = _only(read(turned, meters=0.01))
     np.testing.assert_allclose(body.velocity, [0.0, 1.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(body.angular_velocity, [0.0, np.pi, 0.0], atol=1e-9)
+    place = _place("double rotateZ = 90", "float3 scale = (2, 3, 4)")
+    body = _only(read(f'def Xform "Up"\n{{\n{place}\n{inner}}}\n', meters=0.01))
+    np.testing.assert_allclose(body.velocity, [0.0, 2.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(body.angular_velocity, [0.0, np.pi, 0.0], atol=1e-9)
 
 
@@ -115,6 +181,24 @@ def test_shapes_keep_their_axis_and_bake_one_scale(kind: str, axis: str, read) -
     assert across.max() == pytest.approx(1.0)
     if kind == "Cone":
         assert across[np.argmax(local[:, 2])] == pytest.approx(0.0, abs=1e-12), "the apex is at +z"
+
+
+@pytest.mark.parametrize("kind", ["none", "convexHull", "boundingCube", "boundingSphere", "convexDecomposition"])
+def test_what_touches_for_a_mesh(kind: str, read) -> None:
+    """A bounding shape touches and has the mass; hollows stay, and that is said."""
+    lines = f'{DENTED}\nuniform token physics:approximation = "{kind}"\n' + _place("float3 scale = (2, 2, 2)")
+    shot = read(_prim("Mesh", lines, (*BODY, "PhysicsMeshCollisionAPI")))
+    shape, mass = shot.scene.surfaces[0].shape, _only(shot).mass
+    told = any("physics:approximation" in line for line in shot.warnings)
+    assert told == kind.startswith("convex")
+    if kind == "boundingCube":
+        assert shape.kind == "box" and mass == pytest.approx(1000.0 * 8.0**3)
+        np.testing.assert_allclose(shape.size, 4.0)
+        np.testing.assert_allclose(shape.frame[:3, 3], 4.0)
+    elif kind == "boundingSphere":
+        assert shape.kind == "sphere" and shape.size[0] == pytest.approx(4.0 * np.sqrt(3.0))
+    else:
+        assert shape is None
 
 
 def test_uneven_scales(read) -> None:
@@ -155,6 +239,13 @@ def test_what_is_not_simulated(read) -> None:
         (_prim("Cube", "float3 physics:diagonalInertia = (1, -1, 1)"), "physics:diagonalInertia"),
         (_prim("Cube", "point3f physics:centerOfMass = (nan, 0, 0)"), "physics:centerOfMass"),
         (_prim("Cube", "vector3f physics:velocity = (inf, 0, 0)"), "physics:velocity"),
+        (_prim("Cube", "float physics:mass = inf"), "physics:mass"),
+        (_prim("Cube", "float physics:density = -2"), "physics:density"),
+        (_prim("Cube", _place("double3 translate = (nan, 0, 0)")), "xformOpOrder"),
+        (_prim("Cube", _place("float3 scale = (0, 1, 1)")), "xformOpOrder"),
+        (_prim("Cylinder", 'uniform token axis = "Q"'), "axis"),
+        (_prim("Mesh", EMPTY), "has no triangle"),
+        (_prim("Mesh", TRIANGLE), "encloses no volume"),
     ],
 )
 def test_values_that_cannot_be_are_refused_by_name(text: str, attribute: str, read) -> None:

@@ -170,8 +170,8 @@ def test_joints_are_reported(read) -> None:
     shot = read(_hair(STRANDS) + 'def PhysicsRevoluteJoint "Hinge"\n{\n}\n')
     hinge = next(prim for prim in shot.prims if prim.path == "/Hinge")
     assert (hinge.role, hinge.supported) == ("rigid", True)
-    rope = read(_hair(STRANDS) + 'def PhysicsDistanceJoint "Rope"\n{\n}\n').prims[-1]
-    assert not rope.supported and "PhysicsDistanceJoint" in rope.reason
+    loose = read(_hair(STRANDS) + 'def PhysicsJoint "Loose"\n{\n}\n').prims[-1]
+    assert not loose.supported and "PhysicsJoint" in loose.reason
 
 
 def test_inside_an_instance_curves_cannot_be_written(read) -> None:

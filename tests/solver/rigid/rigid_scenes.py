@@ -75,6 +75,7 @@ class Rigid:
         threads: int = 1,
         substeps: int = SUBSTEPS,
         filtered: tuple = (),
+        rigid_start: float = -np.inf,
         **settings: Any,
     ) -> None:
         from dataclasses import replace
@@ -90,6 +91,7 @@ class Rigid:
             gravity=np.array(gravity),
             joints=joints,
             filtered=filtered,
+            rigid_start=rigid_start,
         )
         rigid = RigidSettings(**settings)
         self.simulation = build(self.scene, Settings(threads=threads, substeps=substeps, rigid=rigid))

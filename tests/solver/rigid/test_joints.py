@@ -7,7 +7,7 @@ import pytest
 
 from plait.pipeline.benchmarks.scenes import FormulaMotion
 from plait.solver.diagnostics import Refused
-from plait.solver.scene import Joint
+from plait.solver.scene import Drive, Joint
 
 from ..tets.lattices import placed
 from .rigid_scenes import FRAME, Rigid, box, rotation_about
@@ -193,3 +193,84 @@ def test_filtered_surfaces_do_not_touch():
 def test_a_joint_between_nothing_is_refused():
     with pytest.raises(Refused, match="stray"):
         Rigid([box()], joints=(Joint("stray", "fixed", (None, None), (np.eye(4), np.eye(4))),))
+
+
+def hinged(drive: Drive | None, size=(0.3, 0.2, 0.1), gravity=(0.0, 0.0, 0.0)) -> Rigid:
+    """A box that turns about z through its own middle."""
+    hinge = Joint("hinge", "revolute", (None, 0), (np.eye(4), np.eye(4)), drive=drive)
+    return Rigid([box(size)], joints=(hinge,), gravity=gravity)
+
+
+def turned(scene: Rigid) -> float:
+    """[rad] about z."""
+    rotation = scene.rotation[0]
+    return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+
+
+def test_a_driven_slide_is_a_damped_spring_in_backward_euler():
+    """m (v1 - v0) / h = -k (x0 + h v1 - x*) - c (v1 - v*), step by step, to what the solve is asked for."""
+    drive = Drive(stiffness=300.0, damping=8.0, target=0.1, target_velocity=0.2)
+    ends = (frame(rotation=ALONG_X), frame(rotation=ALONG_X))
+    slide = Joint("slide", "prismatic", (None, 0), ends, drive=drive)
+    scene = Rigid([box()], joints=(slide,), gravity=(0.0, 0.0, 0.0), tolerance=1e-12)
+    mass, h = scene.mass[0], FRAME / 8
+    x, v = 0.0, 0.0
+    for _ in range(100):
+        scene.substep(h)
+        push = h * (drive.stiffness * (drive.target - x) + drive.damping * drive.target_velocity)
+        v = (mass * v + push) / (mass + h * drive.damping + h * h * drive.stiffness)
+        x += h * v
+        assert scene.position[0] == pytest.approx([x, 0.0, 0.0], abs=1e-9)
+
+
+def test_a_drive_turns_at_its_speed_and_no_stronger_than_allowed():
+    """A stiff one at the target within the solve's tolerance; a weak one at most t / I."""
+    scene = hinged(Drive(damping=1e6, target_velocity=2.0))
+    scene.run(1.0)
+    assert scene.spin[0] == pytest.approx([0.0, 0.0, 2.0], abs=1e-5)
+    assert turned(scene) == pytest.approx(2.0, abs=1e-5)
+    scene = hinged(Drive(damping=1e6, target_velocity=-50.0, most=0.01))
+    scene.run(1.0)
+    inertia = scene.scene.rigid_bodies[0].inertia[2, 2]
+    assert scene.spin[0] == pytest.approx([0.0, 0.0, -0.01 / inertia], rel=1e-9)
+
+
+def test_a_drive_per_inertia_moves_all_alike():
+    drive = Drive(stiffness=40.0, damping=3.0, target=1.0, per_inertia=True)
+    scenes = [hinged(drive, size) for size in ((0.3, 0.2, 0.1), (0.9, 0.2, 0.4))]
+    for _ in range(4):
+        for scene in scenes:
+            scene.run(0.25)
+        assert turned(scenes[0]) == pytest.approx(turned(scenes[1]), rel=1e-4)
+    assert turned(scenes[0]) > 0.5, "it has not moved"
+
+
+def test_a_spring_takes_the_shorter_way_round():
+    scene = hinged(Drive(stiffness=1.0, damping=1.0, target=np.radians(-170.0), per_inertia=True))
+    held = scene.simulation.state.to_numpy()
+    half = np.radians(170.0) / 2
+    held["rigid/orientation"][0] = [0.0, 0.0, np.sin(half), np.cos(half)]
+    scene.simulation.state.restore(held)
+    scene.run(FRAME)
+    assert scene.spin[0][2] > 0.0
+
+
+def test_a_distance_is_kept_within_its_limits():
+    """A ball on a string of 0.4 m falls freely until it is taut, at .2 m; from then on it hangs."""
+    ball = box((0.1, 0.1, 0.1), (0.0, -0.2, 0.0))
+    string = Joint("string", "distance", (None, 0), (np.eye(4), np.eye(4)), limits=(0.1, 0.4))
+    scene = Rigid([ball], joints=(string,))
+    free = np.sqrt(2.0 * 0.2 / GRAVITY)
+    while scene.time + FRAME < free:
+        scene.run(FRAME)
+        fallen = 0.5 * GRAVITY * scene.time * (scene.time + FRAME / 8)
+        assert scene.position[0] == pytest.approx([0.0, -0.2 - fallen, 0.0], abs=1e-9)
+    for _ in range(12):
+        scene.run(2 * FRAME)
+        assert np.linalg.norm(scene.position[0]) <= 0.4 + 1e-6
+    assert scene.position[0] == pytest.approx([0.0, -0.4, 0.0], abs=1e-6)
+    rod = Joint("rod", "distance", (None, 0), (np.eye(4), np.eye(4)), limits=(0.2, 0.2))
+    scene = Rigid([box((0.1, 0.1, 0.1), (0.2, 0.0, 0.0))], joints=(rod,))
+    for _ in range(12):
+        scene.run(2 * FRAME)
+        assert np.linalg.norm(scene.position[0]) == pytest.approx(0.2, abs=1e-6)

@@ -13,11 +13,11 @@ import warp as wp
 from plait.solver.build import FEATURES, build
 from plait.solver.diagnostics import Refused
 from plait.solver.model import Interval
-from plait.solver.scene import RootBinding, Scene, Strands, Surface
+from plait.solver.scene import Pose, RootBinding, Scene, Strands, Surface
 from plait.solver.settings import Settings
 
 from ..contact.soft_scenes import floor
-from .rigid_scenes import FRAME, Rigid, box, shaped
+from .rigid_scenes import FRAME, SUBSTEPS, Rigid, box, pose, rotation_about, shaped
 
 
 def tumbling() -> Rigid:
@@ -160,3 +160,38 @@ def test_a_surface_is_carried_to_where_its_body_is():
     scene.stage.place_surface(0, points, query)
     assert points.numpy() == pytest.approx(scene.points(0), abs=1e-12)
     assert query.numpy() == pytest.approx(scene.points(0), abs=1e-6)
+
+
+class _Rising:
+    """Up at 2 m/s while it turns about y at 3 rad/s."""
+
+    animated = True
+
+    def pose(self, time: float) -> Pose:
+        return Pose(pose((0.0, 2.0 * time, 0.0), rotation_about((0.0, 1.0, 0.0), 3.0 * time)).transform[None])
+
+
+def test_a_body_is_held_until_it_is_released():
+    """Until then it is where its motion has it, whatever pushes it; then it flies with the velocity it has."""
+    release = 2.0 * FRAME
+    prop = box(velocity=np.array([1.0, 0.0, 0.0]))
+    prop.motion = _Rising()
+    rigid = Rigid([prop], rigid_start=release)
+    for _ in range(2):
+        rigid.stage.push(np.array([0]), np.zeros((1, 3)), np.array([[5.0, 5.0, 5.0]]))
+        rigid.run(FRAME)
+        np.testing.assert_allclose(rigid.position[0], [0.0, 2.0 * rigid.time, 0.0], atol=1e-12)
+        expected = rotation_about((0.0, 1.0, 0.0), 3.0 * rigid.time)
+        np.testing.assert_allclose(rigid.rotation[0], expected, atol=1e-12)
+    np.testing.assert_allclose(rigid.velocity[0], [1.0, 0.0, 0.0])
+    kept = rigid.simulation.state.to_numpy()
+    rigid.run(FRAME)
+    # A first-order step of gravity over a frame of n substeps falls by g h^2 n (n + 1) / 2.
+    h = FRAME / SUBSTEPS
+    fallen = 9.81 * h**2 * SUBSTEPS * (SUBSTEPS + 1) / 2
+    np.testing.assert_allclose(rigid.position[0], [FRAME, 2.0 * release - fallen, 0.0], atol=1e-12)
+    after = rigid.simulation.state.to_numpy()
+    rigid.simulation.state.restore(kept)
+    rigid.run(FRAME)
+    for name, value in rigid.simulation.state.to_numpy().items():
+        np.testing.assert_array_equal(value, after[name])

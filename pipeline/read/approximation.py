@@ -1,0 +1,59 @@
+"""What UsdPhysicsMeshCollisionAPI would have touch in the place of a mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+from pxr import Usd, UsdPhysics
+
+from plait.pipeline.read.solids import shape_in
+from plait.pipeline.read.source import Source
+from plait.solver.scene import Shape, Surface
+
+ATTRIBUTE = "physics:approximation"
+# A point may lie so far out of the plane of a convex mesh's face, in sizes of the mesh: float32.
+ROUNDING = 1e-5
+
+
+def bounding_shape(source: Source, prim: Usd.Prim, points: np.ndarray, placed: np.ndarray) -> Shape | None:
+    """The box or ball about points (n, 3) of the mesh [stage units, its own space], if that is to touch.
+
+    placed: (4, 4), from there to metres. None, told of in a warning, where it is scaled or sheared into neither.
+    """
+    kind = {"boundingCube": "box", "boundingSphere": "sphere"}.get(_approximation(prim))
+    if kind is None:
+        return None
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    if kind == "box":
+        size = 0.5 * np.ptp(points, axis=0)
+    else:
+        size = np.full(3, np.linalg.norm(points - center, axis=1).max())
+    middle = np.eye(4)
+    middle[:3, 3] = center
+    return shape_in(source, prim, kind, size, placed @ middle)
+
+
+def tell_of_approximation(source: Source, prim: Usd.Prim, surface: Surface) -> None:
+    """Says where another surface than the mesh is asked for, and touching is as drawn all the same."""
+    kind = _approximation(prim)
+    if kind in ("convexHull", "convexDecomposition") and not _is_convex(surface):
+        source.warn(f"is {kind}; the mesh touches as it is drawn, with its hollows", prim, ATTRIBUTE)
+    if kind in ("boundingCube", "boundingSphere") and surface.shape is None:
+        source.warn(f"is {kind}; the mesh touches as it is drawn", prim, ATTRIBUTE)
+
+
+def _approximation(prim: Usd.Prim) -> str:
+    if not prim.HasAPI(UsdPhysics.MeshCollisionAPI):
+        return "none"
+    return str(UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get())
+
+
+def _is_convex(surface: Surface) -> bool:
+    """Whether no point lies outside the plane of any face."""
+    corners = surface.points[surface.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    size = np.ptp(surface.points, axis=0).max()
+    return all(
+        ((surface.points - corner) @ normal).max() <= ROUNDING * size
+        for corner, normal in zip(corners[:, 0], normals, strict=True)
+    )
