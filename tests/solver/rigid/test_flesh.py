@@ -14,8 +14,8 @@ from plait.solver.model import Interval
 from plait.solver.scene import Surface, TetBody
 from plait.solver.settings import Settings
 
-from ..contact.soft_scenes import SUBSTEPS, floor
-from ..tets.lattices import box_body, placed
+from ..contact.soft_scenes import SUBSTEPS, floor, solid_box
+from ..tets.lattices import box_body, keyed, placed
 from .rigid_scenes import FRAME, Prop, Rigid, box
 
 SUBSTEP = FRAME / SUBSTEPS
@@ -224,3 +224,21 @@ def test_forces_are_the_gradient_of_the_energy_with_the_body_giving_way():
     ends = [forces.energy(wp.array(x + s * step * direction, dtype=wp.vec3d)) for s in (1.0, -1.0)]
     assert np.abs(nodes).max() > 1.0
     assert (ends[1] - ends[0]) / (2.0 * step) == pytest.approx(float((nodes * direction).sum()), rel=1e-5)
+
+
+@pytest.mark.slow
+def test_a_fist_lifts_a_box_as_heavy_as_a_finger():
+    """Two blocks of flesh, backs driven, close by 3 cm each and rise by 14 cm: the box between goes along."""
+
+    def finger(side: float, k: int) -> tuple[TetBody, Surface]:
+        ways = [(0.215, 0.0), (0.185, 0.0), (0.185, 0.0), (0.185, 0.14)]
+        motion = keyed([0.0, 0.25, 0.4, 0.9], [placed((side * x, y, 0.0)) for x, y in ways])
+        body, skin = box_body((0.2, 0.2, 0.2), (2, 2, 2), motion=motion, index=k, friction=0.8)
+        return replace(body, pinned=side * body.nodes[:, 0] > 0.099), skin
+
+    table = solid_box("table", (1.0, 0.1, 1.0), (0.0, -0.1505, 0.0))
+    scene = Both([box(friction=0.8)], [finger(-1.0, 0), finger(1.0, 1)], [table])
+    for _ in range(172):
+        scene.substep()
+    assert scene.position[0] == pytest.approx([0.0, 0.14, 0.0], abs=0.04)
+    assert np.abs(scene.velocity[0, [0, 2]]).max() < 0.01
