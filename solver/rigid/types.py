@@ -64,6 +64,11 @@ class Boxes:
     lower: wp.array(dtype=wp.vec3d)  # [m]
     upper: wp.array(dtype=wp.vec3d)
     travel: wp.array(dtype=wp.float64)  # [m] no part goes further
+    order: wp.array(dtype=wp.int32)  # (carried_count,) geoms of bodies, by where their boxes begin along an axis
+    rank: wp.array(dtype=wp.int32)  # (carried_count,) their places in it
+    axis: wp.array(dtype=wp.int32)  # (1,)
+    widest: wp.array(dtype=wp.float64)  # (1,) [m] along it
+    still: wp.array(dtype=wp.int32)  # 1: where it was in the substep before, and without any way in either
 
 
 @wp.struct
