@@ -89,14 +89,11 @@ def test_a_state_saved_in_sleep_goes_on_with_the_same_bits():
 
 
 def test_all_pairs_of_balls_that_are_near_are_found_and_no_others():
-    """Of sixty at random places, in several orders, against distances between all."""
+    """Of sixty at random places, spread out along one axis or another, against distances between all."""
     random = np.random.default_rng(5)
     centres = random.uniform(-0.5, 0.5, size=(60, 3)) * [1.0, 0.6, 0.8]
-    scene = Rigid([shaped("sphere", 0.1, centre) for centre in centres], gravity=(0.0, 0.0, 0.0))
     for turn in (centres, centres[:, [1, 2, 0]], centres[::-1]):
-        scene.stage.position.assign(np.ascontiguousarray(turn))
-        scene.stage.velocity.zero_()
-        scene.stage.angular_momentum.zero_()
+        scene = Rigid([shaped("sphere", 0.1, centre) for centre in turn], gravity=(0.0, 0.0, 0.0))
         scene.substep()
         contact = scene.stage.contact
         counts, partner = contact.contacts.count.numpy(), contact.contacts.geom.numpy()
