@@ -17,7 +17,7 @@ from plait.solver.rigid.order_kernels import order_geoms
 from plait.solver.rigid.overlap_kernels import Effort
 from plait.solver.rigid.row_kernels import Rows
 from plait.solver.rigid.solve_kernels import solve_islands
-from plait.solver.rigid.types import Animated, Boxes, Contacts, Kept
+from plait.solver.rigid.types import Animated, Boxes, Contacts, Finder, Kept
 from plait.solver.state import State
 
 if TYPE_CHECKING:
@@ -151,6 +151,9 @@ class RigidContact:
         effort.sweeps, effort.passes = settings.iterations, settings.passes
         joints, bodies = stage.joints.joints, len(stage.bodies)
         islands, contacts, motion = self._islands, self.contacts, stage.motion
+        finder = Finder()
+        finder.step, finder.geoms, finder.animated, finder.motion = step, geoms, animated, motion
+        finder.boxes, finder.kept, finder.contacts = self._boxes, self._kept, contacts
         return [
             prepare(
                 bound_geoms, geoms.count, [step, geoms, animated, motion, start, self._boxes], work_per_item=20
@@ -159,7 +162,7 @@ class RigidContact:
             prepare(
                 find_contacts,
                 geoms.count,
-                [step, geoms, animated, motion, self._boxes, self._kept, contacts],
+                [finder],
                 work_per_item=FIND_WORK,
             ),
             prepare(find_islands, 1, [geoms, contacts, joints, stage.joints.count, bodies, islands]),

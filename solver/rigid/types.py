@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from plait.solver.rigid.motion_kernels import Motion
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -123,3 +125,16 @@ class Step:
     length: wp.float64  # [s]
     gravity: wp.vec3d  # [m/s2]
     friction: wp.float64  # where neither side tells
+
+
+@wp.struct
+class Finder:
+    """What contacts are looked for among, and where they are noted."""
+
+    step: wp.array(dtype=Step)  # (1,)
+    geoms: Geoms
+    animated: Animated
+    motion: Motion
+    boxes: Boxes
+    kept: Kept
+    contacts: Contacts
