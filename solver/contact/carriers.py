@@ -78,6 +78,7 @@ class RigidCarriers:
         push, stiffness = (array.numpy().copy() for array in self._memory)
         self._held = [Held(*of, np.zeros((self._count, 6))) for of in zip(push, stiffness, strict=True)]
         self._begun_held = self._held
+        self._unmoved = np.zeros(0, dtype=int)
         self._leave_alone()
 
     def face(self, surfaces: list[int]) -> None:
@@ -85,6 +86,7 @@ class RigidCarriers:
         bodies = self.body_of[np.array(surfaces, dtype=int)]
         self.near = np.unique(bodies[bodies >= 0])
         matrix = mobility(self._stage, self.near)
+        matrix[np.isin(self.near, self._unmoved)] = 0.0
         size, basis = np.linalg.eigh(matrix)
         self.root = basis * np.sqrt(np.maximum(size, 0.0))[:, None, :]
         self.centre = self._stage.position.numpy()[self.near]
@@ -167,7 +169,11 @@ class RigidCarriers:
         self.at_odds = False
         if not self._take():
             return True
-        off = self._apart(self._motion() - self._guess)
+        moved = self._motion() - self._guess
+        # What takes no notice of impulses, because something else says where it goes, does not give way.
+        pushed = self.given[self.near].any(axis=1)
+        self._unmoved = np.union1d(self._unmoved, self.near[pushed & ~moved.any(axis=1)])
+        off = self._apart(moved)
         self.at_odds = off > AT_ODDS * reach
         return off <= AGREES * reach
 
