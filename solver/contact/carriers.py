@@ -14,18 +14,21 @@ from plait.solver.state import State
 # Where the rigid bodies go and where flesh took them to go differ by this part of the distance kept, or both are
 # found again.
 AGREES = 0.5
+# What differs by this much of it after all that asks for a shorter substep.
+AT_ODDS = 5.0
 
 
 class Held(NamedTuple):
     """Of one flesh body.
 
-    push: (body_count, 6) impulse and moment on the rigid bodies.  motion: (near_count, 6) velocity [m/s] and spin
-    [1/s] by which it took them to give way.  stiffness: (near_count, 6, 6), see `RigidCarriers.note`.
+    push: (body_count, 6) impulse and moment on the rigid bodies.
+    stiffness: (body_count, 6, 6), see `RigidCarriers.note`.
+    motion: (body_count, 6) velocity [m/s] and spin [1/s] by which it took them to give way.
     """
 
     push: np.ndarray
-    motion: np.ndarray
     stiffness: np.ndarray
+    motion: np.ndarray
 
 
 class RigidCarriers:
@@ -38,12 +41,14 @@ class RigidCarriers:
     What lies on something starts the next substep with what flesh gave it in this one, so that its supports bear
     that from the start.
 
+    at_odds: whether flesh and rigid bodies, as last looked at, part by more than they may.
     length: [s] of the substep.  faced: counts how often the bodies were looked at.
     near: rigid bodies with a surface in reach.  root: of each a root (6, 6) of its mobility.  centre: (n, 3) [m]
     of mass.  given: (body_count, 6) impulse and moment about the centre of mass at the substep's start that the
     bodies have taken up in this substep.
 
-    State array: obstacles/expected: (body_count, 6) of them at the substep's start.
+    State arrays: obstacles/expected: (body_count, 6) of them at the substep's start; obstacles/push and stiffness:
+    what each flesh body felt in the substep before, see `Held`.
     """
 
     def __init__(self, model: Model, state: State) -> None:
@@ -53,9 +58,15 @@ class RigidCarriers:
         self._expected = wp.zeros((self._count, 6), dtype=wp.float64, device=model.launcher.device)
         state.arrays["obstacles/expected"] = self._expected
         self._begun_with = self.given = np.zeros((self._count, 6))
-        self._held: dict[int, Held] = {}
+        flesh = len(model.scene.bodies)
+        self._memory = (
+            wp.zeros((flesh, self._count, 6), dtype=wp.float64, device=model.launcher.device),
+            wp.zeros((flesh, self._count, 6, 6), dtype=wp.float64, device=model.launcher.device),
+        )
+        state.arrays["obstacles/push"], state.arrays["obstacles/stiffness"] = self._memory
+        self._held: list[Held] = []
         self._substep: Interval | None = None
-        self.length, self.faced = 0.0, 0
+        self.length, self.faced, self.at_odds = 0.0, 0, False
         self._leave_alone()
 
     def _leave_alone(self) -> None:
@@ -64,7 +75,10 @@ class RigidCarriers:
     def begin_substep(self, substep: Interval) -> None:
         self._substep, self.length = substep, substep.length
         self._begun_with = self.given = self._expected.numpy().copy()
-        self._held = {}
+        push, stiffness = (array.numpy().copy() for array in self._memory)
+        self._held = [Held(*of, np.zeros((self._count, 6))) for of in zip(push, stiffness, strict=True)]
+        self._begun_held = self._held
+        self._unmoved = np.zeros(0, dtype=int)
         self._leave_alone()
 
     def face(self, surfaces: list[int]) -> None:
@@ -72,11 +86,12 @@ class RigidCarriers:
         bodies = self.body_of[np.array(surfaces, dtype=int)]
         self.near = np.unique(bodies[bodies >= 0])
         matrix = mobility(self._stage, self.near)
+        matrix[np.isin(self.near, self._unmoved)] = 0.0
         size, basis = np.linalg.eigh(matrix)
         self.root = basis * np.sqrt(np.maximum(size, 0.0))[:, None, :]
         self.centre = self._stage.position.numpy()[self.near]
         self._guess = self._motion()
-        self._held = {b: held._replace(motion=0.0 * held.motion) for b, held in self._held.items()}
+        self._held = [held._replace(motion=0.0 * held.motion) for held in self._held]
         self.faced += 1
 
     def aim(self, flesh: int) -> np.ndarray:
@@ -90,13 +105,14 @@ class RigidCarriers:
         [sqrt J], matrix and force of a quadratic in how far the bodies give way."""
         matrix, force = np.zeros((len(self.near), 6, 6)), np.zeros((len(self.near), 6))
         for held in self._others(flesh):
-            matrix += held.stiffness
-            force += np.einsum("nij,nj->ni", held.stiffness, held.motion)
+            stiffness = held.stiffness[self.near]
+            matrix += stiffness
+            force += np.einsum("nij,nj->ni", stiffness, held.motion[self.near])
         turned = self.root.transpose(0, 2, 1)
         return turned @ matrix @ self.root, np.einsum("nij,nj->ni", turned, force)
 
     def _others(self, flesh: int) -> list[Held]:
-        return [held for b, held in self._held.items() if b != flesh]
+        return [held for b, held in enumerate(self._held) if b != flesh]
 
     def note(
         self,
@@ -116,16 +132,16 @@ class RigidCarriers:
         push = np.zeros((self._count, 6))
         np.add.at(push[:, :3], bodies, impulse)
         np.add.at(push[:, 3:], bodies, np.cross(places - self._stage.start_position[bodies], impulse))
-        self._held[flesh] = Held(push, np.einsum("nij,nj->ni", self.root, way), stiffness)
+        motion, everywhere = np.zeros((self._count, 6)), np.zeros((self._count, 6, 6))
+        motion[self.near], everywhere[self.near] = np.einsum("nij,nj->ni", self.root, way), stiffness
+        self._held[flesh] = Held(push, everywhere, motion)
 
     def lasts(self, reach: float) -> bool:
         """Whether flesh bodies that push the same rigid one, each solved by itself, take it to go to one place.
 
         reach: [m] the distance that flesh keeps.
         """
-        pushers = sum(
-            (held.push.any(axis=1).astype(int) for held in self._held.values()), np.zeros(self._count, int)
-        )
+        pushers = sum((held.push.any(axis=1).astype(int) for held in self._held), np.zeros(self._count, int))
         if pushers.max(initial=0) < 2:
             return True
         given = (self._total() - self.given)[self.near]
@@ -135,28 +151,38 @@ class RigidCarriers:
     def _apart(self, moved: np.ndarray) -> float:
         """[m] by how much the bodies' ways in the substep differ from where flesh that pushes them took them."""
         off, size = 0.0, self._stage.contact.reach[self.near]
-        for held in self._held.values():
-            apart = (moved - held.motion)[held.push[self.near].any(axis=1)]
-            reach = size[held.push[self.near].any(axis=1)]
+        for held in self._held:
+            pushed = held.push[self.near].any(axis=1)
+            apart, reach = (moved - held.motion[self.near])[pushed], size[pushed]
             speed = np.linalg.norm(apart[:, :3], axis=1) + reach * np.linalg.norm(apart[:, 3:], axis=1)
             off = max(off, self.length * float(speed.max(initial=0.0)))
         return off
 
     def _total(self) -> np.ndarray:
-        return sum((held.push for held in self._held.values()), np.zeros((self._count, 6)))
+        return sum((held.push for held in self._held), np.zeros((self._count, 6)))
 
     def agree(self, reach: float) -> bool:
         """Lets the rigid bodies take their substep again; whether they go where flesh took them to go.
 
         reach: [m] the distance that flesh keeps.
         """
+        self.at_odds = False
         if not self._take():
             return True
-        return self._apart(self._motion() - self._guess) <= AGREES * reach
+        moved = self._motion() - self._guess
+        # What takes no notice of impulses, because something else says where it goes, does not give way.
+        pushed = self.given[self.near].any(axis=1)
+        self._unmoved = np.union1d(self._unmoved, self.near[pushed & ~moved.any(axis=1)])
+        off = self._apart(moved)
+        self.at_odds = off > AT_ODDS * reach
+        return off <= AGREES * reach
 
     def finish(self) -> None:
         """Ends the substep: the rigid bodies have been given what flesh felt."""
+        if not len(self.near):
+            self._held = [Held(*(0.0 * array for array in held)) for held in self._held]
         self._take()
+        self._remember(self._held)
         expected = np.zeros((self._count, 6))
         pushed = np.flatnonzero(self.given.any(axis=1))
         if len(pushed):
@@ -171,7 +197,12 @@ class RigidCarriers:
         """As before `begin_substep`, if that was called for this substep."""
         if substep is self._substep:
             self._expected.assign(self._begun_with)
+            self._remember(self._begun_held)
             self._substep = None
+
+    def _remember(self, held: list[Held]) -> None:
+        for array, values in zip(self._memory, zip(*held, strict=True), strict=False):
+            array.assign(np.array(values))
 
     def _take(self) -> bool:
         """Whether that changed anything."""

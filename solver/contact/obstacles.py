@@ -169,8 +169,7 @@ class Obstacles:
 
     def _note(self, base: wp.array) -> None:
         for body in self.bodies:
-            if not body.holds:
-                body.yielding.note(base, pushes=body.rounds > 0)
+            body.yielding.note(base, pushes=body.rounds > 0 and not body.holds)
 
     def finish(self, base: wp.array) -> None:
         """Before `leave`, gives rigid bodies what they gave elastic bodies."""

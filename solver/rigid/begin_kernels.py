@@ -20,11 +20,27 @@ def begin_bodies(first: int, step: wp.array(dtype=Step), masses: Masses, motion:
     start.inertia_inverse[b] = inverse
     start.velocity[b] = motion.velocity[b]
     start.spin[b] = inverse * motion.angular_momentum[b]
-    push = step[0].length * step[0].gravity + motion.impulse[b] / masses.mass[b]
-    motion.velocity[b] = motion.velocity[b] + push
+    if wp.length_sq(motion.impulse[b]) > ZERO or wp.length_sq(motion.angular_impulse[b]) > ZERO:
+        motion.still_time[b] = ZERO
+        if motion.asleep[b] == 1:
+            motion.asleep[b] = 0
+    if motion.asleep[b] == 0:
+        motion.velocity[b] = motion.velocity[b] + step[0].length * step[0].gravity
+    motion.velocity[b] = motion.velocity[b] + motion.impulse[b] / masses.mass[b]
     motion.angular_momentum[b] = motion.angular_momentum[b] + motion.angular_impulse[b]
     motion.impulse[b] = wp.vec3d()
     motion.angular_impulse[b] = wp.vec3d()
+
+
+@wp.func
+def put_box(boxes: Boxes, a: int, lower: wp.vec3d, upper: wp.vec3d, travel: wp.float64):
+    still = wp.int32(0)
+    if travel == ZERO and boxes.travel[a] == ZERO and boxes.lower[a] == lower and boxes.upper[a] == upper:
+        still = 1
+    boxes.still[a] = still
+    boxes.lower[a] = lower
+    boxes.upper[a] = upper
+    boxes.travel[a] = travel
 
 
 @wp.kernel
@@ -57,9 +73,7 @@ def bound_geoms(
                 + geoms.margin[a]
                 + geoms.thickness[a]
             )
-        boxes.lower[a] = center - half
-        boxes.upper[a] = center + half
-        boxes.travel[a] = travel
+        put_box(boxes, a, center - half, center + half, travel)
         return
     entry = a - geoms.carried_count
     lower = wp.vec3d(UNBOUNDED, UNBOUNDED, UNBOUNDED)
@@ -73,6 +87,4 @@ def bound_geoms(
             upper = wp.max(upper, wp.max(x, y))
             furthest = wp.max(furthest, wp.length_sq(y - x))
     reach = wp.vec3d(geoms.thickness[a], geoms.thickness[a], geoms.thickness[a])
-    boxes.lower[a] = lower - reach
-    boxes.upper[a] = upper + reach
-    boxes.travel[a] = wp.sqrt(furthest)
+    put_box(boxes, a, lower - reach, upper + reach, wp.sqrt(furthest))

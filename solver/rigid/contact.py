@@ -13,10 +13,11 @@ from plait.solver.rigid.begin_kernels import bound_geoms
 from plait.solver.rigid.find_kernels import find_contacts, keep_contacts
 from plait.solver.rigid.geoms import GeomTable
 from plait.solver.rigid.island_kernels import Islands, find_islands
+from plait.solver.rigid.order_kernels import order_geoms
 from plait.solver.rigid.overlap_kernels import Effort
 from plait.solver.rigid.row_kernels import Rows
 from plait.solver.rigid.solve_kernels import solve_islands
-from plait.solver.rigid.types import Animated, Boxes, Contacts, Kept
+from plait.solver.rigid.types import Animated, Boxes, Contacts, Finder, Kept
 from plait.solver.state import State
 
 if TYPE_CHECKING:
@@ -107,6 +108,12 @@ class RigidContact:
         boxes.lower = wp.zeros(count, dtype=wp.vec3d, device=device)
         boxes.upper = wp.zeros(count, dtype=wp.vec3d, device=device)
         boxes.travel = wp.zeros(count, dtype=wp.float64, device=device)
+        carried = np.arange(int(self.table.geoms.carried_count))
+        boxes.order = wp.array(carried, dtype=wp.int32, device=device)
+        boxes.rank = wp.array(carried, dtype=wp.int32, device=device)
+        boxes.axis = wp.zeros(1, dtype=wp.int32, device=device)
+        boxes.widest = wp.zeros(1, dtype=wp.float64, device=device)
+        boxes.still = wp.zeros(count, dtype=wp.int32, device=device)
         return boxes
 
     def _lay_out_islands(self, slots: int) -> Islands:
@@ -144,14 +151,18 @@ class RigidContact:
         effort.sweeps, effort.passes = settings.iterations, settings.passes
         joints, bodies = stage.joints.joints, len(stage.bodies)
         islands, contacts, motion = self._islands, self.contacts, stage.motion
+        finder = Finder()
+        finder.step, finder.geoms, finder.animated, finder.motion = step, geoms, animated, motion
+        finder.boxes, finder.kept, finder.contacts = self._boxes, self._kept, contacts
         return [
             prepare(
                 bound_geoms, geoms.count, [step, geoms, animated, motion, start, self._boxes], work_per_item=20
             ),
+            prepare(order_geoms, 1, [geoms, self._boxes]),
             prepare(
                 find_contacts,
                 geoms.count,
-                [step, geoms, animated, motion, self._boxes, self._kept, contacts],
+                [finder],
                 work_per_item=FIND_WORK,
             ),
             prepare(find_islands, 1, [geoms, contacts, joints, stage.joints.count, bodies, islands]),

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from plait.solver.rigid.motion_kernels import HALF, ONE, ZERO, Motion
+from plait.solver.rigid.motion_kernels import HALF, ONE, ZERO
 from plait.solver.rigid.nearest_kernels import Side
 from plait.solver.rigid.put_kernels import Place, least_margin, put_contact
-from plait.solver.rigid.types import Animated, Boxes, Contacts, Geoms, Kept, Step
+from plait.solver.rigid.types import Finder
 
 wp.set_module_options({"enable_backward": False})
 
@@ -32,29 +32,29 @@ class Segment:
 
 
 @wp.func
-def vertex_at(geoms: Geoms, animated: Animated, motion: Motion, body: int, i: int) -> wp.vec3d:
+def vertex_at(finder: Finder, body: int, i: int) -> wp.vec3d:
     if body < 0:
-        return animated.points_start[i]
-    return motion.position[body] + wp.quat_rotate(motion.orientation[body], geoms.vertices[i])
+        return finder.animated.points_start[i]
+    return finder.motion.position[body] + wp.quat_rotate(finder.motion.orientation[body], finder.geoms.vertices[i])
 
 
 @wp.func
-def segment_at(geoms: Geoms, animated: Animated, motion: Motion, a: int, e: int) -> Segment:
+def segment_at(finder: Finder, a: int, e: int) -> Segment:
     out = Segment()
-    edge = geoms.edges[e]
-    body = geoms.body[a]
-    out.a = vertex_at(geoms, animated, motion, body, edge[0])
-    out.b = vertex_at(geoms, animated, motion, body, edge[1])
-    out.radius = geoms.edge_radius[e]
+    edge = finder.geoms.edges[e]
+    body = finder.geoms.body[a]
+    out.a = vertex_at(finder, body, edge[0])
+    out.b = vertex_at(finder, body, edge[1])
+    out.radius = finder.geoms.edge_radius[e]
     if body < 0:
-        out.way_a = animated.points_end[edge[0]] - out.a
-        out.way_b = animated.points_end[edge[1]] - out.b
+        out.way_a = finder.animated.points_end[edge[0]] - out.a
+        out.way_b = finder.animated.points_end[edge[1]] - out.b
     along = wp.normalize(out.b - out.a)
     if edge[2] >= 0:
-        into = vertex_at(geoms, animated, motion, body, edge[2]) - out.a
+        into = vertex_at(finder, body, edge[2]) - out.a
         out.into_1 = into - wp.dot(into, along) * along
     if edge[3] >= 0:
-        into = vertex_at(geoms, animated, motion, body, edge[3]) - out.a
+        into = vertex_at(finder, body, edge[3]) - out.a
         out.into_2 = into - wp.dot(into, along) * along
     return out
 
@@ -69,12 +69,7 @@ def leaves(edge: Segment, n: wp.vec3d) -> bool:
 
 @wp.func
 def cross_edges(
-    geoms: Geoms,
-    motion: Motion,
-    boxes: Boxes,
-    kept: Kept,
-    contacts: Contacts,
-    step: Step,
+    finder: Finder,
     a: int,
     b: int,
     pair: int,
@@ -93,7 +88,7 @@ def cross_edges(
         return
     s = (uv * wp.dot(v, w) - vv * wp.dot(u, w)) / square
     t = (uu * wp.dot(v, w) - uv * wp.dot(u, w)) / square
-    depth = least_margin(geoms, a, b)
+    depth = least_margin(finder.geoms, a, b)
     # What touches near the end of an edge is found by its corner.
     end_p = HALF * depth / wp.sqrt(uu)
     end_q = HALF * depth / wp.sqrt(vv)
@@ -114,8 +109,8 @@ def cross_edges(
     height = sign * height
     if not leaves(q, n) or not leaves(p, -n):
         return
-    gap = height - p.radius - q.radius - geoms.thickness[a] - geoms.thickness[b]
-    if gap < -depth - boxes.travel[a] - boxes.travel[b]:
+    gap = height - p.radius - q.radius - finder.geoms.thickness[a] - finder.geoms.thickness[b]
+    if gap < -depth - finder.boxes.travel[a] - finder.boxes.travel[b]:
         return
     place = Place()
     place.x = on_p
@@ -126,34 +121,28 @@ def cross_edges(
     surface.core = on_q
     surface.foot = on_q + q.radius * n
     surface.way = q.way_a + t * (q.way_b - q.way_a)
-    put_contact(geoms, motion, boxes, kept, contacts, step, a, b, -1 - pair, place, -p.radius * n, surface)
+    put_contact(finder, a, b, -1 - pair, place, -p.radius * n, surface)
 
 
 @wp.func
 def meet_edges(
-    geoms: Geoms,
-    animated: Animated,
-    motion: Motion,
-    boxes: Boxes,
-    kept: Kept,
-    contacts: Contacts,
-    step: Step,
+    finder: Finder,
     a: int,
     b: int,
 ):
     """Contacts of edges of geom a with edges of geom b that they cross."""
-    lower = wp.max(boxes.lower[a], boxes.lower[b])
-    upper = wp.min(boxes.upper[a], boxes.upper[b])
-    count_b = geoms.first_edge[b + 1] - geoms.first_edge[b]
-    for i in range(geoms.first_edge[a], geoms.first_edge[a + 1]):
-        p = segment_at(geoms, animated, motion, a, i)
+    lower = wp.max(finder.boxes.lower[a], finder.boxes.lower[b])
+    upper = wp.min(finder.boxes.upper[a], finder.boxes.upper[b])
+    count_b = finder.geoms.first_edge[b + 1] - finder.geoms.first_edge[b]
+    for i in range(finder.geoms.first_edge[a], finder.geoms.first_edge[a + 1]):
+        p = segment_at(finder, a, i)
         grown = wp.vec3d(p.radius, p.radius, p.radius)
         clear_p = wp.max(wp.min(p.a, p.b) - grown - upper, lower - wp.max(p.a, p.b) - grown)
         if wp.max(clear_p) <= ZERO:
-            for j in range(geoms.first_edge[b], geoms.first_edge[b + 1]):
-                q = segment_at(geoms, animated, motion, b, j)
+            for j in range(finder.geoms.first_edge[b], finder.geoms.first_edge[b + 1]):
+                q = segment_at(finder, b, j)
                 grown_q = wp.vec3d(q.radius, q.radius, q.radius)
                 clear_q = wp.max(wp.min(q.a, q.b) - grown_q - upper, lower - wp.max(q.a, q.b) - grown_q)
                 if wp.max(clear_q) <= ZERO:
-                    pair = (i - geoms.first_edge[a]) * count_b + j - geoms.first_edge[b]
-                    cross_edges(geoms, motion, boxes, kept, contacts, step, a, b, pair, p, q)
+                    pair = (i - finder.geoms.first_edge[a]) * count_b + j - finder.geoms.first_edge[b]
+                    cross_edges(finder, a, b, pair, p, q)

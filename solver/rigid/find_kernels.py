@@ -5,21 +5,18 @@ from __future__ import annotations
 import warp as wp
 
 from plait.solver.rigid.edge_kernels import meet_edges
-from plait.solver.rigid.motion_kernels import ZERO, Motion
+from plait.solver.rigid.order_kernels import first_near, geom_at, next_near
 from plait.solver.rigid.point_kernels import meet_points
 from plait.solver.rigid.shape_kernels import SPHERE
-from plait.solver.rigid.types import Animated, Boxes, Contacts, Geoms, Kept, Step
+from plait.solver.rigid.types import Contacts, Finder, Geoms, Kept
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def touches(geoms: Geoms, boxes: Boxes, a: int, b: int) -> bool:
-    """Whether geoms may touch."""
+def touches(geoms: Geoms, a: int, b: int) -> bool:
+    """Whether geoms whose boxes meet may touch."""
     if geoms.body[a] == geoms.body[b]:
-        return False
-    apart = wp.max(boxes.lower[a] - boxes.upper[b], boxes.lower[b] - boxes.upper[a])
-    if wp.max(apart) > ZERO:
         return False
     for k in range(geoms.filter_offsets[a], geoms.filter_offsets[a + 1]):
         if geoms.filtered[k] == b:
@@ -27,30 +24,45 @@ def touches(geoms: Geoms, boxes: Boxes, a: int, b: int) -> bool:
     return True
 
 
+@wp.func
+def rests(finder: Finder, a: int, begin: int) -> bool:
+    """Whether a geom's contacts are those of the substep before: neither it nor what is near has moved since."""
+    if finder.boxes.still[a] == 0:
+        return False
+    for k in range(finder.geoms.first_slot[a], finder.geoms.first_slot[a] + finder.contacts.count[a]):
+        if finder.boxes.still[finder.contacts.geom[k]] == 0:
+            return False
+    i = next_near(finder.geoms, finder.boxes, a, begin)
+    while i >= 0:
+        if finder.boxes.still[geom_at(finder.geoms, finder.boxes, i)] == 0:
+            return False
+        i = next_near(finder.geoms, finder.boxes, a, i + 1)
+    return True
+
+
 @wp.kernel
 def find_contacts(
     first: int,
-    step: wp.array(dtype=Step),
-    geoms: Geoms,
-    animated: Animated,
-    motion: Motion,
-    boxes: Boxes,
-    kept: Kept,
-    contacts: Contacts,
+    finder: Finder,
 ):
     """Contacts of geoms' points and edges, one geom an item."""
     a = first + wp.tid()
-    contacts.count[a] = 0
-    others = geoms.count
-    if geoms.body[a] < 0:
-        others = geoms.carried_count
-    for b in range(others):
-        if touches(geoms, boxes, a, b):
+    begin = wp.int32(0)
+    if finder.geoms.body[a] >= 0:
+        begin = first_near(finder.geoms, finder.boxes, a)
+    if rests(finder, a, begin):
+        return
+    finder.contacts.count[a] = 0
+    i = next_near(finder.geoms, finder.boxes, a, begin)
+    while i >= 0:
+        b = geom_at(finder.geoms, finder.boxes, i)
+        if touches(finder.geoms, a, b):
             # Of two balls one side tells all.
-            if a < b or geoms.kind[a] != SPHERE or geoms.kind[b] != SPHERE:
-                meet_points(geoms, animated, motion, boxes, kept, contacts, step[0], a, b)
+            if a < b or finder.geoms.kind[a] != SPHERE or finder.geoms.kind[b] != SPHERE:
+                meet_points(finder, a, b)
             if a < b:
-                meet_edges(geoms, animated, motion, boxes, kept, contacts, step[0], a, b)
+                meet_edges(finder, a, b)
+        i = next_near(finder.geoms, finder.boxes, a, i + 1)
 
 
 @wp.kernel

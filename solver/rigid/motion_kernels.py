@@ -30,6 +30,10 @@ class Motion:
     angular_momentum: wp.array(dtype=wp.vec3d)  # [kg m2/s] about the centre of mass
     impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] from others, taken up by the next substep
     angular_impulse: wp.array(dtype=wp.vec3d)  # [kg m2/s] about the centre of mass
+    still_position: wp.array(dtype=wp.vec3d)  # [m] where the body has been near, for a time [s]
+    still_orientation: wp.array(dtype=wp.quatd)
+    still_time: wp.array(dtype=wp.float64)
+    asleep: wp.array(dtype=wp.int32)  # 1: left alone in the substep before, with all that it touches
 
 
 @wp.struct

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from plait.solver.rigid.motion_kernels import HALF, ZERO, Motion
+from plait.solver.rigid.motion_kernels import HALF, ZERO
 from plait.solver.rigid.nearest_kernels import Side, nearest_on_geom
 from plait.solver.rigid.put_kernels import Place, kept_at, least_margin, place_of, put_contact
 from plait.solver.rigid.shape_kernels import MESH
-from plait.solver.rigid.types import Animated, Boxes, Contacts, Geoms, Kept, Step
+from plait.solver.rigid.types import Finder
 
 wp.set_module_options({"enable_backward": False})
 
@@ -31,13 +31,7 @@ def led_back(surface: Side, before: wp.vec3d) -> Side:
 
 @wp.func
 def meet_further_walls(
-    geoms: Geoms,
-    animated: Animated,
-    motion: Motion,
-    boxes: Boxes,
-    kept: Kept,
-    contacts: Contacts,
-    step: Step,
+    finder: Finder,
     a: int,
     b: int,
     feature: int,
@@ -49,62 +43,61 @@ def meet_further_walls(
     away = nearest.normal
     for k in range(1, 3):
         shift = place.radius * away
-        seen = nearest_on_geom(geoms, animated, motion, b, place.x + shift, search + place.radius, place.x)
+        seen = nearest_on_geom(
+            finder.geoms, finder.animated, finder.motion, b, place.x + shift, search + place.radius, place.x
+        )
         if not seen.found:
             return
         if wp.dot(seen.normal, wp.normalize(away)) > APART or wp.dot(seen.normal, nearest.normal) > APART:
             return
         # The wall's foot beneath the ball itself.
-        seen.gap = wp.dot(seen.normal, place.x - seen.foot) - geoms.thickness[b] - place.radius
+        seen.gap = wp.dot(seen.normal, place.x - seen.foot) - finder.geoms.thickness[b] - place.radius
         slide = shift - wp.dot(seen.normal, shift) * seen.normal
         seen.foot = seen.foot - slide
         seen.core = seen.foot
         arm = -place.radius * seen.normal
-        put_contact(geoms, motion, boxes, kept, contacts, step, a, b, feature + k, place, arm, seen)
+        put_contact(finder, a, b, feature + k, place, arm, seen)
         away = away + seen.normal
 
 
 @wp.func
 def meet_points(
-    geoms: Geoms,
-    animated: Animated,
-    motion: Motion,
-    boxes: Boxes,
-    kept: Kept,
-    contacts: Contacts,
-    step: Step,
+    finder: Finder,
     a: int,
     b: int,
 ):
     """Contacts of the points of geom a with the surface of geom b."""
-    travel = boxes.travel[a] + boxes.travel[b]
-    depth = least_margin(geoms, a, b)
-    reach = TWO * depth + geoms.thickness[b] + travel
-    for p in range(geoms.first_point[a], geoms.first_point[a + 1]):
-        place = place_of(geoms, animated, motion, a, p)
-        feature = 4 * (p - geoms.first_point[a])
-        before = kept_at(kept, geoms.first_slot[a], kept.count[a], b, feature)
+    travel = finder.boxes.travel[a] + finder.boxes.travel[b]
+    depth = least_margin(finder.geoms, a, b)
+    reach = TWO * depth + finder.geoms.thickness[b] + travel
+    for p in range(finder.geoms.first_point[a], finder.geoms.first_point[a + 1]):
+        place = place_of(finder, a, p)
+        feature = 4 * (p - finder.geoms.first_point[a])
+        before = kept_at(finder.kept, finder.geoms.first_slot[a], finder.kept.count[a], b, feature)
         search = reach + place.radius
         if before >= 0:
             # However deep it has been left, it is led back.
-            search += wp.max(geoms.reach[a], geoms.reach[b])
+            search += wp.max(finder.geoms.reach[a], finder.geoms.reach[b])
         grown = wp.vec3d(search, search, search)
         x = place.x
-        inside_lower = wp.min(x - boxes.lower[b] + grown, boxes.upper[b] + grown - x)
+        inside_lower = wp.min(x - finder.boxes.lower[b] + grown, finder.boxes.upper[b] + grown - x)
         if wp.min(inside_lower) >= ZERO:
             # What meets an open surface for the first time belongs where its geom mostly is: a centre of mass may
             # be anywhere.
             witness = x
             if before >= 0:
-                witness = x + FAR * kept.normal[before]
-            elif geoms.body[a] >= 0:
-                body = geoms.body[a]
-                witness = motion.position[body] + wp.quat_rotate(motion.orientation[body], geoms.center[a])
+                witness = x + FAR * finder.kept.normal[before]
+            elif finder.geoms.body[a] >= 0:
+                body = finder.geoms.body[a]
+                turned = wp.quat_rotate(finder.motion.orientation[body], finder.geoms.center[a])
+                witness = finder.motion.position[body] + turned
             rim = wp.length_sq(place.axis) > ZERO
             arm = wp.vec3d()
             # Looked for from a little within the point's own body, the side is told also where both bodies end.
             within = x + depth * place.inward
-            surface = nearest_on_geom(geoms, animated, motion, b, within, search + place.radius, witness)
+            surface = nearest_on_geom(
+                finder.geoms, finder.animated, finder.motion, b, within, search + place.radius, witness
+            )
             surface.gap -= wp.dot(surface.normal, within - x)
             if rim and surface.found:
                 # The place of the rim that is nearest to the surface's tangent plane, found again from there.
@@ -113,15 +106,15 @@ def meet_points(
                     length = wp.length(down)
                     if length > wp.float64(1e-6) and surface.found:
                         arm = (place.radius / length) * down
-                        surface = nearest_on_geom(geoms, animated, motion, b, x + arm, search, witness)
+                        surface = nearest_on_geom(
+                            finder.geoms, finder.animated, finder.motion, b, x + arm, search, witness
+                        )
             elif surface.found:
                 arm = -place.radius * surface.normal
                 surface.gap -= place.radius
             if surface.found and before >= 0:
-                surface = led_back(surface, kept.normal[before])
+                surface = led_back(surface, finder.kept.normal[before])
             if surface.found:
-                put_contact(geoms, motion, boxes, kept, contacts, step, a, b, feature, place, arm, surface)
-            if surface.found and place.radius > ZERO and not rim and geoms.kind[b] == MESH:
-                meet_further_walls(
-                    geoms, animated, motion, boxes, kept, contacts, step, a, b, feature, place, surface, search
-                )
+                put_contact(finder, a, b, feature, place, arm, surface)
+            if surface.found and place.radius > ZERO and not rim and finder.geoms.kind[b] == MESH:
+                meet_further_walls(finder, a, b, feature, place, surface, search)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import warp as wp
 
 from plait.solver.contact.geometry_kernels import get_triangle, unit_normal
-from plait.solver.rigid.motion_kernels import HALF, ZERO, Motion
+from plait.solver.rigid.motion_kernels import HALF, ZERO
 from plait.solver.rigid.nearest_kernels import Side
-from plait.solver.rigid.types import Animated, Boxes, Contacts, Geoms, Kept, Step
+from plait.solver.rigid.types import Contacts, Finder, Geoms, Kept
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,23 +24,25 @@ class Place:
 
 
 @wp.func
-def place_of(geoms: Geoms, animated: Animated, motion: Motion, a: int, p: int) -> Place:
+def place_of(finder: Finder, a: int, p: int) -> Place:
     out = Place()
-    body = geoms.body[a]
+    body = finder.geoms.body[a]
     if body < 0:
-        i = geoms.point_index[p]
-        out.x = animated.points_start[i]
-        out.way = animated.points_end[i] - out.x
-        fan = geoms.fans[p]
+        i = finder.geoms.point_index[p]
+        out.x = finder.animated.points_start[i]
+        out.way = finder.animated.points_end[i] - out.x
+        fan = finder.geoms.fans[p]
         for k in range(4):
             if fan[k] >= 0:
-                out.inward -= unit_normal(get_triangle(animated.triangles, animated.points_start, fan[k]))
+                out.inward -= unit_normal(
+                    get_triangle(finder.animated.triangles, finder.animated.points_start, fan[k])
+                )
         out.inward = wp.normalize(out.inward)
         return out
-    out.x = motion.position[body] + wp.quat_rotate(motion.orientation[body], geoms.points[p])
-    out.radius = geoms.radius[p]
-    out.axis = wp.quat_rotate(motion.orientation[body], geoms.axis[p])
-    out.inward = wp.quat_rotate(motion.orientation[body], geoms.inward[p])
+    out.x = finder.motion.position[body] + wp.quat_rotate(finder.motion.orientation[body], finder.geoms.points[p])
+    out.radius = finder.geoms.radius[p]
+    out.axis = wp.quat_rotate(finder.motion.orientation[body], finder.geoms.axis[p])
+    out.inward = wp.quat_rotate(finder.motion.orientation[body], finder.geoms.inward[p])
     return out
 
 
@@ -91,12 +93,7 @@ def mean_friction(a: wp.float64, b: wp.float64, otherwise: wp.float64) -> wp.flo
 
 @wp.func
 def put_contact(
-    geoms: Geoms,
-    motion: Motion,
-    boxes: Boxes,
-    kept: Kept,
-    contacts: Contacts,
-    step: Step,
+    finder: Finder,
     a: int,
     b: int,
     feature: int,
@@ -105,39 +102,43 @@ def put_contact(
     surface: Side,
 ):
     """Notes a contact of a point, its core at place.x and itself at place.x + arm, if it may touch in time."""
-    body_a = geoms.body[a]
-    body_b = geoms.body[b]
+    body_a = finder.geoms.body[a]
+    body_b = finder.geoms.body[b]
     n = surface.normal
     touch = place.x + arm
     gap = surface.gap
     # Impacts turn bodies about: whatever may come near in the substep, however it moves now, is looked at.
-    if gap > least_margin(geoms, a, b) + boxes.travel[a] + boxes.travel[b]:
+    if gap > least_margin(finder.geoms, a, b) + finder.boxes.travel[a] + finder.boxes.travel[b]:
         return
-    slot = find_slot(contacts, geoms, a, gap)
+    slot = find_slot(finder.contacts, finder.geoms, a, gap)
     if slot < 0:
         return
-    contacts.geom[slot] = b
-    contacts.feature[slot] = feature
-    contacts.body[slot] = wp.vec2i(body_a, body_b)
-    contacts.arm_a[slot] = arm
-    contacts.arm_b[slot] = surface.foot - surface.core
+    finder.contacts.geom[slot] = b
+    finder.contacts.feature[slot] = feature
+    finder.contacts.body[slot] = wp.vec2i(body_a, body_b)
+    finder.contacts.arm_a[slot] = arm
+    finder.contacts.arm_b[slot] = surface.foot - surface.core
     if body_a >= 0:
-        contacts.core_a[slot] = wp.quat_rotate_inv(motion.orientation[body_a], place.x - motion.position[body_a])
-        contacts.lever_a[slot] = touch - motion.position[body_a]
-    else:
-        contacts.core_a[slot] = place.way
-    if body_b >= 0:
-        contacts.core_b[slot] = wp.quat_rotate_inv(
-            motion.orientation[body_b], surface.core - motion.position[body_b]
+        finder.contacts.core_a[slot] = wp.quat_rotate_inv(
+            finder.motion.orientation[body_a], place.x - finder.motion.position[body_a]
         )
-        contacts.lever_b[slot] = touch - motion.position[body_b]
+        finder.contacts.lever_a[slot] = touch - finder.motion.position[body_a]
     else:
-        contacts.core_b[slot] = surface.way
-    contacts.normal[slot] = n
-    contacts.gap[slot] = gap
-    contacts.friction[slot] = mean_friction(geoms.friction[a], geoms.friction[b], step.friction)
-    contacts.restitution[slot] = wp.max(geoms.restitution[a], geoms.restitution[b])
-    contacts.impulse[slot] = wp.vec3d()
-    before = kept_at(kept, geoms.first_slot[a], kept.count[a], b, feature)
+        finder.contacts.core_a[slot] = place.way
+    if body_b >= 0:
+        finder.contacts.core_b[slot] = wp.quat_rotate_inv(
+            finder.motion.orientation[body_b], surface.core - finder.motion.position[body_b]
+        )
+        finder.contacts.lever_b[slot] = touch - finder.motion.position[body_b]
+    else:
+        finder.contacts.core_b[slot] = surface.way
+    finder.contacts.normal[slot] = n
+    finder.contacts.gap[slot] = gap
+    finder.contacts.friction[slot] = mean_friction(
+        finder.geoms.friction[a], finder.geoms.friction[b], finder.step[0].friction
+    )
+    finder.contacts.restitution[slot] = wp.max(finder.geoms.restitution[a], finder.geoms.restitution[b])
+    finder.contacts.impulse[slot] = wp.vec3d()
+    before = kept_at(finder.kept, finder.geoms.first_slot[a], finder.kept.count[a], b, feature)
     if before >= 0:
-        contacts.impulse[slot] = kept.impulse[before]
+        finder.contacts.impulse[slot] = finder.kept.impulse[before]

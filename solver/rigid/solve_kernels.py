@@ -34,6 +34,7 @@ from plait.solver.rigid.row_kernels import (
     look_at_contact,
     solve_contact,
 )
+from plait.solver.rigid.sleep_kernels import lay_down, may_sleep, wake, watch
 from plait.solver.rigid.types import Contacts, Geoms, Start, Step
 
 # Unrolled, the joints' loops over rows would be most of the code.
@@ -139,23 +140,27 @@ def solve_islands(
 ):
     """All of an island's impulses; one body an item, the island's own one works."""
     r = first + wp.tid()
-    if islands.root[r] != r:
-        return
     work.sweeps[r] = 0
     work.lack[r] = ZERO
+    if islands.root[r] != r:
+        return
     body_begin = begin_of(islands.body_begin, r)
     body_end = islands.body_begin[r]
     for i in range(body_begin, body_end):
         b = islands.body[i]
         work.push[b] = wp.vec3d()
         work.push_turn[b] = wp.vec3d()
+    step = step_at[0]
+    if may_sleep(islands, contacts, motion, r):
+        lay_down(islands, motion, r)
+        return
+    wake(islands, motion, r, step.length * step.gravity)
     contact_begin = begin_of(islands.contact_begin, r)
     contact_end = islands.contact_begin[r]
     joint_begin = begin_of(islands.joint_begin, r)
     joint_end = islands.joint_begin[r]
     if contact_begin == contact_end and joint_begin == joint_end:
         return
-    step = step_at[0]
     length = step.length
     exit_distance = effort.exit_speed * length
     fastest = length * wp.length(step.gravity)
@@ -218,7 +223,10 @@ def solve_islands(
 def advance_bodies(first: int, step: wp.array(dtype=Step), masses: Masses, motion: Motion, work: Work):
     """Poses at the substep's end, one body an item."""
     b = first + wp.tid()
+    if motion.asleep[b] == 1:
+        return
     length = step[0].length
     turned = turn_freely(motion.orientation[b], motion.angular_momentum[b], masses.inertia_inverse[b], length)
     motion.position[b] = motion.position[b] + length * motion.velocity[b] + work.push[b]
     motion.orientation[b] = wp.normalize(rotation_by(work.push_turn[b]) * turned)
+    watch(motion, masses, b, length)

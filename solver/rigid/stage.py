@@ -30,6 +30,10 @@ MOTION = {
     "angular_momentum": wp.vec3d,
     "impulse": wp.vec3d,
     "angular_impulse": wp.vec3d,
+    "still_position": wp.vec3d,
+    "still_orientation": wp.quatd,
+    "still_time": wp.float64,
+    "asleep": wp.int32,
 }
 # How far a pose's rotation may be from one.
 RIGID = 1e-6
@@ -55,7 +59,8 @@ class RigidStage:
     impulse: (body_count,) vec3d [kg m/s], and angular_impulse: (body_count,) vec3d [kg m2/s] about the centre of
         mass, that others add to; the next substep takes them up.
 
-    State arrays: rigid/ and those names; rigid/contact_count, contact_geom, contact_feature, contact_normal and
+    State arrays: rigid/ and those names; rigid/still_position, still_orientation, still_time and asleep, see
+    `Motion`; rigid/contact_count, contact_geom, contact_feature, contact_normal and
     contact_impulse, what is kept of contacts from a substep to the next; rigid/joint_impulse.
     """
 
@@ -264,6 +269,7 @@ class RigidStage:
         return self.contact.end_frame() | {
             "kinetic_energy": 0.5 * float(mass @ np.square(velocity).sum(axis=1) + turning),
             "potential_energy": -float(mass @ (position @ self._model.scene.gravity)),
+            "asleep": int(self.motion.asleep.numpy().sum()),
             "sweeps_max": int(self._work.sweeps.numpy().max()),
             "unconverged": self.contact.unconverged,
         }

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from plait.solver.rigid.motion_kernels import Motion
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -64,6 +66,11 @@ class Boxes:
     lower: wp.array(dtype=wp.vec3d)  # [m]
     upper: wp.array(dtype=wp.vec3d)
     travel: wp.array(dtype=wp.float64)  # [m] no part goes further
+    order: wp.array(dtype=wp.int32)  # (carried_count,) geoms of bodies, by where their boxes begin along an axis
+    rank: wp.array(dtype=wp.int32)  # (carried_count,) their places in it
+    axis: wp.array(dtype=wp.int32)  # (1,)
+    widest: wp.array(dtype=wp.float64)  # (1,) [m] along it
+    still: wp.array(dtype=wp.int32)  # 1: where it was in the substep before, and without any way in either
 
 
 @wp.struct
@@ -118,3 +125,16 @@ class Step:
     length: wp.float64  # [s]
     gravity: wp.vec3d  # [m/s2]
     friction: wp.float64  # where neither side tells
+
+
+@wp.struct
+class Finder:
+    """What contacts are looked for among, and where they are noted."""
+
+    step: wp.array(dtype=Step)  # (1,)
+    geoms: Geoms
+    animated: Animated
+    motion: Motion
+    boxes: Boxes
+    kept: Kept
+    contacts: Contacts

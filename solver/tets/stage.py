@@ -223,7 +223,7 @@ class TetStage:
                     break
             if obstacles.agree():
                 break
-        return stands
+        return stands and not (obstacles.carriers is not None and obstacles.carriers.at_odds)
 
     @property
     def _lying(self) -> np.ndarray:

@@ -13,6 +13,7 @@ import pytest
 import warp as wp
 
 import plait.solver
+from plait.solver.contact.carrier_kernels import coupling_kernels
 from plait.solver.contact.obstacle_force_kernels import tet_kernels
 from plait.solver.granular.contact_kernels import contact_kernels
 from plait.solver.granular.energy_kernels import energy_kernels
@@ -46,6 +47,7 @@ MADE = (
     coupled_kernels,
     body_kernels,
     contact_kernels,
+    coupling_kernels,
     damping_kernels,
     explicit_kernels,
     flesh_exchange_kernels,

@@ -11,12 +11,13 @@ import warp as wp
 
 from plait.solver.build import build
 from plait.solver.model import Interval
-from plait.solver.scene import Surface, TetBody
+from plait.solver.scene import RootBinding, Surface, TetBody
 from plait.solver.settings import Settings
 
-from ..contact.soft_scenes import SUBSTEPS, floor
-from ..tets.lattices import box_body, placed
+from ..contact.soft_scenes import SUBSTEPS, floor, solid_box
+from ..tets.lattices import box_body, keyed, placed
 from .rigid_scenes import FRAME, Prop, Rigid, box
+from .test_stage import one_strand
 
 SUBSTEP = FRAME / SUBSTEPS
 # Distance that flesh keeps from a surface: a part of its tets' edge.
@@ -34,13 +35,14 @@ class Both:
         *,
         gravity: Any = (0.0, -9.81, 0.0),
         joints: tuple = (),
+        strands: tuple = (),
         **settings: Any,
     ) -> None:
         scene = Rigid(props, obstacles, gravity=gravity, joints=joints).scene
         surfaces, first = list(scene.surfaces), len(scene.surfaces)
         surfaces += [replace(skin, body=k) for k, (_, skin) in enumerate(flesh)]
         bodies = tuple(replace(body, surface=first + k) for k, (body, _) in enumerate(flesh))
-        scene = replace(scene, surfaces=tuple(surfaces), bodies=bodies)
+        scene = replace(scene, surfaces=tuple(surfaces), bodies=bodies, strands=strands)
         self.simulation = build(scene, Settings(threads=1, substeps=SUBSTEPS, **settings))
         parts = self.simulation.model.parts
         self.tets, self.rigid = parts["tets"], parts["rigid"]
@@ -163,6 +165,23 @@ def test_flesh_that_falls_on_a_loose_pebble_makes_no_energy(aside: float):
         assert scene.substep() <= top * (1.0 + 1e-5)
 
 
+def test_hair_on_a_box_that_flesh_pushes_goes_where_the_box_ends():
+    """A bristle on the face away from the flesh: its root stays on the box to rounding, and the box moves on."""
+    prop = box(density=100.0)
+    corners = prop.surface.points[prop.surface.triangles]
+    triangle = next(t for t, corner in enumerate(corners) if np.allclose(corner[:, 0], 0.1))
+    root = corners[triangle].mean(axis=0)
+    points = root + np.linspace(0.0, 0.1, 8)[:, None] * [1.0, 0.0, 0.0]
+    hair = one_strand(points, RootBinding(0, np.array([triangle]), np.full((1, 3), 1.0 / 3.0)), np.eye(4), 4e-5)
+    scene = Both([prop], [flying_block()], gravity=(0.0, 0.0, 0.0), strands=(hair,))
+    scene.push_flesh((1.0, 0.0, 0.0))
+    for _ in range(16):
+        scene.substep()
+    pose, kinematics = scene.rigid.pose(0), scene.simulation.model.parts["kinematics"]
+    assert scene.velocity[0, 0] > 0.5
+    assert kinematics.root_position.numpy()[0] == pytest.approx(pose[:3, :3] @ root + pose[:3, 3], abs=1e-12)
+
+
 def test_a_saved_state_goes_on_with_the_same_bits():
     def resting() -> Both:
         flesh = box_body((0.4, 0.2, 0.4), (4, 2, 4), transform=placed((0.0, 0.105, 0.0)))
@@ -224,3 +243,21 @@ def test_forces_are_the_gradient_of_the_energy_with_the_body_giving_way():
     ends = [forces.energy(wp.array(x + s * step * direction, dtype=wp.vec3d)) for s in (1.0, -1.0)]
     assert np.abs(nodes).max() > 1.0
     assert (ends[1] - ends[0]) / (2.0 * step) == pytest.approx(float((nodes * direction).sum()), rel=1e-5)
+
+
+@pytest.mark.slow
+def test_a_fist_lifts_a_box_as_heavy_as_a_finger():
+    """Two blocks of flesh, backs driven, close by 3 cm each and rise by 14 cm: the box between goes along."""
+
+    def finger(side: float, k: int) -> tuple[TetBody, Surface]:
+        ways = [(0.215, 0.0), (0.185, 0.0), (0.185, 0.0), (0.185, 0.14)]
+        motion = keyed([0.0, 0.25, 0.4, 0.9], [placed((side * x, y, 0.0)) for x, y in ways])
+        body, skin = box_body((0.2, 0.2, 0.2), (2, 2, 2), motion=motion, index=k, friction=0.8)
+        return replace(body, pinned=side * body.nodes[:, 0] > 0.099), skin
+
+    table = solid_box("table", (1.0, 0.1, 1.0), (0.0, -0.1505, 0.0))
+    scene = Both([box(friction=0.8)], [finger(-1.0, 0), finger(1.0, 1)], [table])
+    for _ in range(172):
+        scene.substep()
+    assert scene.position[0] == pytest.approx([0.0, 0.14, 0.0], abs=0.04)
+    assert np.abs(scene.velocity[0, [0, 2]]).max() < 0.01
