@@ -11,7 +11,7 @@ import warp as wp
 
 from plait.solver.build import build
 from plait.solver.model import Interval
-from plait.solver.scene import RootBinding, Surface, TetBody
+from plait.solver.scene import Joint, RootBinding, Surface, TetBody
 from plait.solver.settings import Settings
 
 from ..contact.soft_scenes import SUBSTEPS, floor, solid_box
@@ -163,6 +163,25 @@ def test_flesh_that_falls_on_a_loose_pebble_makes_no_energy(aside: float):
     top = scene.substep()
     for _ in range(59):
         assert scene.substep() <= top * (1.0 + 1e-5)
+
+
+@pytest.mark.parametrize("density", [20.0, 2000.0])
+def test_a_door_that_flesh_hits_turns_on_its_hinge(density: float):
+    """Light or heavy, it opens; the hinge stays where it is to rounding, and no energy is made."""
+    hinge = np.eye(4)
+    hinge[:3, :3] = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]).T  # z upwards
+    hinge[:3, 3] = [0.0, 0.0, -0.25]
+    door = box((0.05, 0.5, 0.5), density=density)
+    flesh = box_body((0.2, 0.2, 0.2), (2, 2, 2), transform=placed((-0.13, 0.0, 0.1)))
+    joint = Joint("hinge", "revolute", (0, None), (hinge, hinge))
+    scene = Both([door], [flesh], gravity=(0.0, 0.0, 0.0), joints=(joint,))
+    scene.push_flesh((1.0, 0.0, 0.0))
+    start = scene.substep()
+    for _ in range(24):
+        assert scene.substep() <= start * (1.0 + 1e-6)
+    pose = scene.rigid.pose(0)
+    assert pose[:3] @ hinge[:, 3] == pytest.approx(hinge[:3, 3], abs=1e-9)
+    assert scene.rigid.speeds()[0, 4] > 0.5
 
 
 def test_hair_on_a_box_that_flesh_pushes_goes_where_the_box_ends():
