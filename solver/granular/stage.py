@@ -10,6 +10,7 @@ import warp as wp
 
 from plait.solver.diagnostics import Diverged
 from plait.solver.granular.contact import GrainContact
+from plait.solver.granular.disturbance import moving_boxes
 from plait.solver.granular.emission import emitted
 from plait.solver.granular.matter import Matter
 from plait.solver.granular.transfer_kernels import LOST
@@ -55,7 +56,8 @@ class GranularStage:
         scene, granular = model.scene, model.scene.granular
         real = wp.float64 if model.settings.precision == "float64" else wp.float32
         room = [len(g.positions) + (g.emitter.limit if g.emitter else 0) for g in granular]
-        self.matter = Matter(granular, sum(room), self._cell_size(), scene.gravity, real, model.launcher)
+        still = self._settings.still
+        self.matter = Matter(granular, sum(room), self._cell_size(), scene.gravity, real, model.launcher, still)
         for index, g in enumerate(granular):
             self.matter.add(index, g.positions, g.velocities, g.volumes)
         device = model.launcher.device
@@ -102,7 +104,9 @@ class GranularStage:
         if not self.matter.speed < LOST:
             raise Diverged("velocity", self._where_lost(), substep.start)
         self.contact.begin_substep(substep, self.matter.grid.cell_size + self.matter.speed * substep.length)
-        time = substep.start
+        self.matter.disturbed = moving_boxes(self._model, substep)
+        # In a substep in which all sleeps, nothing is done.
+        time = substep.start if self.matter.wake() else substep.end
         while time < substep.end:
             left = substep.end - time
             steps = max(1, int(np.ceil(left / self._stable_length() * (1.0 - 1e-9))))
@@ -141,12 +145,13 @@ class GranularStage:
         """Nothing comes after this stage, and its steps stand."""
 
     def end_frame(self, state: State, frame: Interval) -> dict[str, Any]:
-        """How many particles and blocks there are, steps and sorts of the frame, energies [J]."""
+        """How many particles and blocks there are, blocks awake, steps and sorts of the frame, energies [J]."""
         matter = self.matter
         kinetic, elastic, potential = matter.energies() if matter.count else (0.0, 0.0, 0.0)
         return {
             "particles": matter.count,
             "blocks": matter.grid.block_count,
+            "awake": matter.awake,
             "steps": self._steps,
             "sorts": matter.sorts - self._sorts,
             "kinetic_energy": kinetic,
