@@ -39,7 +39,8 @@ class Grains:
 class GranularStage:
     """All granular matter of a scene on one grid, in steps of its own within each substep.
 
-    It is the last stage of a substep and takes what others have done: its steps always stand.
+    It never asks for shorter steps. As long as it is the last stage its steps stand, and nothing is kept of how a
+    substep began.
 
     matter: the particles and the grid.  contact: with all that is not grains.
 
@@ -70,6 +71,8 @@ class GranularStage:
         self._tell()
         self.contact = GrainContact(model, state, self.matter, real)
         self._steps = self._sorts = 0
+        self._own = {name: array for name, array in state.arrays.items() if name.startswith("granular/")}
+        self._kept: dict[str, wp.array] = {}
 
     def _cell_size(self) -> float:
         """[m] as set, or that of eight particles to a cell."""
@@ -82,16 +85,21 @@ class GranularStage:
 
     def begin_frame(self, state: State, frame: Interval) -> None:
         """Puts the particles in cell order, so that a run goes on from a frame's state as from its own."""
+        self._steps, self._sorts = 0, self.matter.sorts
+        self._take_up()
+
+    def _take_up(self) -> None:
         matter = self.matter
         count, matter.speed, matter.sound = self._told.numpy().tolist()
         matter.count = int(count)
-        self._steps, self._sorts = 0, matter.sorts
         if matter.count:
             matter.sort()
         self.contact.begin_frame()
 
     def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
         """Steps the matter to the substep's end; raises `Diverged` for what is no longer finite."""
+        if next(reversed(self._model.parts)) != self.name:
+            self._kept = {name: wp.clone(array) for name, array in self._own.items()}
         if 0.5 * (substep.start + substep.end) < self._model.scene.granular_start:
             return True
         if self.matter.count:
@@ -142,7 +150,10 @@ class GranularStage:
         self._poured.assign(poured)
 
     def retract(self, state: State, substep: Interval) -> None:
-        """Nothing comes after this stage, and its steps stand."""
+        """The particles are again as they were at the substep's start."""
+        for name, array in self._own.items():
+            wp.copy(array, self._kept[name])
+        self._take_up()
 
     def end_frame(self, state: State, frame: Interval) -> dict[str, Any]:
         """How many particles and blocks there are, blocks awake, steps and sorts of the frame, energies [J]."""
