@@ -108,10 +108,13 @@ class GranularSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     cell_size: [m]; 0 takes eight particles to a cell.
     cfl: no particle moves further than this part of a cell in a step of the matter.
+    still: grains that have for some time moved slower, in the mean, than this times sqrt(g dx), the speed of a
+        fall through half a cell, sleep until what moves comes near; 0: none do.
     """
 
     cell_size: Annotated[float, msgspec.Meta(ge=0.0, lt=FINITE)] = 0.0
     cfl: Positive = 0.3
+    still: Annotated[float, msgspec.Meta(ge=0.0, lt=FINITE)] = 0.02
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

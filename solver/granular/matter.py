@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
+from plait.solver.granular.activity import Activity
 from plait.solver.granular.block_grid import BlockGrid
 from plait.solver.granular.energy_kernels import energy_kernels
 from plait.solver.granular.laws import LAWS
@@ -20,6 +21,8 @@ from plait.solver.scene import Granular
 
 # Sorted particles may go so far [cells] along an axis before they are sorted again; the tiles allow for one.
 DRIFT = 0.9
+# What has been at rest for the time of a fall through so many cells sleeps; over as long the mean is taken.
+REST_FALL = 16.0
 # Sound goes no further than this part of a cell in a step.
 SOUND = 0.4
 # Costs in units of `Launcher.launch`.
@@ -35,13 +38,18 @@ class Matter:
         matter.to_velocities()           `grid.velocity` after gravity; whoever acts on it does so now
         matter.to_particles()
 
+    What has for some time moved, in the mean, slower than `still` times sqrt(g dx) sleeps, unless what is awake
+    comes near: it costs nothing then and stands. The mean, as sand under load goes on
+    swinging in place by its elasticity long after it has come to lie.
+
     particles: struct `Particles`, room for `capacity`, of which the first `count` are.
     sound: [m/s] the fastest in any particle.  speed: [m/s] the largest part of any velocity along an axis.
+    disturbed: boxes (2, 3) [m] within which nothing sleeps.  awake: how many blocks of cells do not.
     """
 
     def __init__(
         self, granular: Sequence[Granular], capacity: int, cell_size: float, gravity: np.ndarray, real: type,
-        launcher: Launcher,
+        launcher: Launcher, still: float = 0.0,
     ) -> None:  # fmt: skip
         self.types, self._launcher, self._real = granular_types(real), launcher, real
         laws = tuple(sorted({g.law for g in granular}))
@@ -61,6 +69,10 @@ class Matter:
         self._step = self.types.Step()
         self._step.cell_size, self._step.cells = cell_size, 1.0 / cell_size
         self._step.gravity = self.types.vec3(*gravity)
+        fall = float(np.linalg.norm(gravity))
+        self._step.still = still * np.sqrt(fall * cell_size)
+        self._rest = np.sqrt(2.0 * REST_FALL * cell_size / fall) if fall > 0.0 else np.inf
+        self._activity, self.disturbed, self.awake = Activity(self.grid), [], 0
         self.count, self.speed, self.sound = 0, 0.0, 0.0
         self._stale, self._drift, self.sorts = True, 0.0, 0
 
@@ -91,26 +103,46 @@ class Matter:
         self.grid.sort(self.particles, self.count)
         self._stale, self._drift = False, 0.0
         self.sorts += 1
-        self._speeds = wp.zeros(self.grid.block_count, dtype=wp.vec2d, device=self._launcher.device)
+        self._activity.forget()
+        told = np.zeros((self.grid.block_count, 3))
+        told[:, 1] = self.sound
+        first = self.grid.data.first.numpy()[:-1]
+        told[:, 2] = np.minimum.reduceat(self.particles.rest.numpy()[: self.count], first)
+        self._told = wp.array(told, dtype=wp.vec3d, device=self._launcher.device)
         self._work = PARTICLE_WORK * max(1, self.count // self.grid.block_count)
+
+    def wake(self) -> bool:
+        """Finds what sleeps in the next step; whether anything is awake."""
+        if self._stale or self._drift > DRIFT:
+            self.sort()
+        awake = self._told.numpy()[:, 2] < self._rest
+        if self.disturbed and not awake.all():
+            awake |= self._activity.within(self.disturbed)
+        if self._activity.choose(awake):
+            stopped, inputs = self._activity.stopped, [self._activity.stopped, self.particles, self.grid.data]
+            self._launcher.launch(self.kernels.stop, len(stopped), inputs, work_per_item=self._work)
+        self.awake = int(awake.sum())
+        return self.awake > 0
 
     def to_grid(self, length: float) -> None:
         """Fills `grid.node` for a step of `length` [s]."""
-        if self._stale or self._drift > DRIFT:
-            self.sort()
-        grid, launch = self.grid, self._launcher.launch
-        self._step.length = length
-        inputs = [self.particles, grid.data, self.materials, self._step]
-        launch(self.kernels.to_tiles, grid.block_count, inputs, [grid.tile], work_per_item=self._work)
-        inputs = [grid.data, grid.tile]
-        work = NODE_WORK * BLOCK_NODES
-        launch(self.kernels.to_nodes, grid.node_block_count, inputs, [grid.node_rows], work_per_item=work)
+        self.wake()
+        grid, launch, activity = self.grid, self._launcher.launch, self._activity
+        self._step.length, self._step.mean_part = length, -np.expm1(-length / self._rest)
+        inputs = [activity.scatters, self.particles, grid.data, self.materials, self._step]
+        launch(self.kernels.to_tiles, len(activity.scatters), inputs, [grid.tile], work_per_item=self._work)
+        self._to_nodes(activity.nodes)
+
+    def _to_nodes(self, nodes: wp.array) -> None:
+        grid, work = self.grid, NODE_WORK * BLOCK_NODES
+        inputs = [nodes, grid.data, grid.tile]
+        self._launcher.launch(self.kernels.to_nodes, len(nodes), inputs, [grid.node_rows], work_per_item=work)
 
     def to_velocities(self) -> None:
         """Fills `grid.velocity`."""
-        grid, launch = self.grid, self._launcher.launch
-        inputs, work = [grid.node, self._step], NODE_WORK * BLOCK_NODES
-        launch(self.kernels.to_velocities, grid.node_block_count, inputs, [grid.velocity], work_per_item=work)
+        grid, nodes, launch = self.grid, self._activity.nodes, self._launcher.launch
+        inputs, work = [nodes, grid.node, self._step], NODE_WORK * BLOCK_NODES
+        launch(self.kernels.to_velocities, len(nodes), inputs, [grid.velocity], work_per_item=work)
 
     def middles(self) -> np.ndarray:
         """(node_count, 3) [m] from each node to the middle of the matter that it carries; not a number if none.
@@ -120,20 +152,17 @@ class Matter:
         grid, launch, kernel = self.grid, self._launcher.launch, middle_kernels(self._real).add_middles
         inputs = [self.particles, grid.data, self.materials, self._step]
         launch(kernel, grid.block_count, inputs, [grid.tile_nodes], work_per_item=self._work)
-        inputs = [grid.data, grid.tile]
-        work = NODE_WORK * BLOCK_NODES
-        launch(self.kernels.to_nodes, grid.node_block_count, inputs, [grid.node_rows], work_per_item=work)
+        self._to_nodes(self._activity.every_node())
         held = grid.node.numpy()[: grid.node_block_count * BLOCK_NODES].astype(np.float64)
         mass = held[:, 3:]
         return np.divide(held[:, :3], mass, out=np.full((len(held), 3), np.nan), where=mass > 0.0)
 
     def to_particles(self) -> bool:
         """Moves and deforms the particles; False where one is lost, no longer finite."""
-        grid = self.grid
-        inputs = [self.particles, grid.data, self.materials, self._step, grid.velocity_rows, grid.tile]
-        launch = self._launcher.launch
-        launch(self.kernels.to_particles, grid.block_count, inputs, [self._speeds], work_per_item=self._work)
-        self.speed, self.sound = self._speeds.numpy().max(axis=0).tolist()
+        grid, gathers, launch = self.grid, self._activity.gathers, self._launcher.launch
+        inputs = [gathers, self.particles, grid.data, self.materials, self._step, grid.velocity_rows, grid.tile]
+        launch(self.kernels.to_particles, len(gathers), inputs, [self._told], work_per_item=self._work)
+        self.speed, self.sound = self._told.numpy()[:, :2].max(axis=0).tolist()
         self._drift += self.speed * self._step.length / grid.cell_size
         return self.speed < LOST
 

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from plait.solver.granular.stencil import stencil_functions
 from plait.solver.granular.types import TILE, TILE_NODES, granular_types
 
 ROW, LAYER = TILE, TILE * TILE
@@ -17,14 +18,7 @@ def middle_kernels(real: type) -> SimpleNamespace:
     types = granular_types(real)
     Particles, Blocks, Step, Material = types.Particles, types.Blocks, types.Step, types.Material
     vec3, vec4 = types.vec3, types.vec4
-
-    @wp.func(module=module)
-    def spline(offset: real):
-        """The weights of a stencil's three nodes, `offset` cells (0.5 to 1.5) after the first."""
-        before = real(1.5) - offset
-        after = offset - real(0.5)
-        middle = offset - real(1.0)
-        return vec3(real(0.5) * before * before, real(0.75) - middle * middle, real(0.5) * after * after)
+    locate, spline = stencil_functions(real).locate, stencil_functions(real).spline
 
     @wp.kernel(module=module, enable_backward=False)
     def add_middles(
@@ -43,18 +37,13 @@ def middle_kernels(real: type) -> SimpleNamespace:
         origin = blocks.origin[block]
         number = vec3(real(0.0), real(1.0), real(2.0))
         for q in range(blocks.first[block], blocks.first[block + 1]):
-            place = particles.position[q] * step.cells
-            x = wp.int32(wp.floor(place[0] - wp.float64(0.5)))
-            y = wp.int32(wp.floor(place[1] - wp.float64(0.5)))
-            z = wp.int32(wp.floor(place[2] - wp.float64(0.5)))
-            offset = vec3(
-                real(place[0] - wp.float64(x)), real(place[1] - wp.float64(y)), real(place[2] - wp.float64(z))
-            )
+            corner, offset = locate(particles.position[q], step.cells)
             mass = materials[particles.material[q]].density * particles.volume[q]
             wx = spline(offset[0])
             wy = spline(offset[1])
             wz = spline(offset[2])
-            base = start + (x - origin[0]) * LAYER + (y - origin[1]) * ROW + z - origin[2]
+            node = corner - origin
+            base = start + node[0] * LAYER + node[1] * ROW + node[2]
             for i in range(3):
                 for j in range(3):
                     for k in range(3):

@@ -2,7 +2,9 @@
 
 psi = mu |F - R|^2 + lambda/2 (J - 1)^2 of the elastic F, with both parameters times exp(xi (1 - J_P)) (their (1),
 (2)); the singular values of F stay within [1 - theta_c, 1 + theta_s], the rest becomes plastic (their section 7),
-of which only the volume J_P matters to what follows.
+of which only the volume J_P matters to what follows. It is kept within [.6, 20], as in the code that Hu et al.
+(2018) published beside their paper: without bound a hard blow packs snow until it is hundreds of times as stiff,
+and takes steps as much shorter as sound is faster.
 """
 
 from functools import cache
@@ -15,6 +17,9 @@ from plait.solver.granular.material import material_type
 from plait.solver.materials.rotation import module_name
 from plait.solver.materials.symmetric import symmetric_functions
 from plait.solver.scene import Granular
+
+# ln J_P at the least and at most.
+PACKED, TORN = float(np.log(0.6)), float(np.log(20.0))
 
 
 def parameters(granular: Granular) -> tuple[float, ...]:
@@ -61,7 +66,8 @@ def snow(real: type) -> SimpleNamespace:
         kept = vec3()
         for k in range(3):
             kept[k] = wp.clamp(s[k], m.own[0], m.own[1])
-        return compose(V, kept), memory + (s[0] + s[1] + s[2]) - (kept[0] + kept[1] + kept[2])
+        flowed = memory + (s[0] + s[1] + s[2]) - (kept[0] + kept[1] + kept[2])
+        return compose(V, kept), wp.clamp(flowed, real(PACKED), real(TORN))
 
     @wp.func(module=module)
     def snow_modulus(memory: real, m: Material):

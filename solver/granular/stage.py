@@ -10,6 +10,7 @@ import warp as wp
 
 from plait.solver.diagnostics import Diverged
 from plait.solver.granular.contact import GrainContact
+from plait.solver.granular.disturbance import moving_boxes
 from plait.solver.granular.emission import emitted
 from plait.solver.granular.matter import Matter
 from plait.solver.granular.transfer_kernels import LOST
@@ -38,7 +39,8 @@ class Grains:
 class GranularStage:
     """All granular matter of a scene on one grid, in steps of its own within each substep.
 
-    It is the last stage of a substep and takes what others have done: its steps always stand.
+    It never asks for shorter steps. As long as it is the last stage its steps stand, and nothing is kept of how a
+    substep began.
 
     matter: the particles and the grid.  contact: with all that is not grains.
 
@@ -55,7 +57,8 @@ class GranularStage:
         scene, granular = model.scene, model.scene.granular
         real = wp.float64 if model.settings.precision == "float64" else wp.float32
         room = [len(g.positions) + (g.emitter.limit if g.emitter else 0) for g in granular]
-        self.matter = Matter(granular, sum(room), self._cell_size(), scene.gravity, real, model.launcher)
+        still = self._settings.still
+        self.matter = Matter(granular, sum(room), self._cell_size(), scene.gravity, real, model.launcher, still)
         for index, g in enumerate(granular):
             self.matter.add(index, g.positions, g.velocities, g.volumes)
         device = model.launcher.device
@@ -68,6 +71,8 @@ class GranularStage:
         self._tell()
         self.contact = GrainContact(model, state, self.matter, real)
         self._steps = self._sorts = 0
+        self._own = {name: array for name, array in state.arrays.items() if name.startswith("granular/")}
+        self._kept: dict[str, wp.array] = {}
 
     def _cell_size(self) -> float:
         """[m] as set, or that of eight particles to a cell."""
@@ -80,16 +85,21 @@ class GranularStage:
 
     def begin_frame(self, state: State, frame: Interval) -> None:
         """Puts the particles in cell order, so that a run goes on from a frame's state as from its own."""
+        self._steps, self._sorts = 0, self.matter.sorts
+        self._take_up()
+
+    def _take_up(self) -> None:
         matter = self.matter
         count, matter.speed, matter.sound = self._told.numpy().tolist()
         matter.count = int(count)
-        self._steps, self._sorts = 0, matter.sorts
         if matter.count:
             matter.sort()
         self.contact.begin_frame()
 
     def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
         """Steps the matter to the substep's end; raises `Diverged` for what is no longer finite."""
+        if next(reversed(self._model.parts)) != self.name:
+            self._kept = {name: wp.clone(array) for name, array in self._own.items()}
         if 0.5 * (substep.start + substep.end) < self._model.scene.granular_start:
             return True
         if self.matter.count:
@@ -102,7 +112,9 @@ class GranularStage:
         if not self.matter.speed < LOST:
             raise Diverged("velocity", self._where_lost(), substep.start)
         self.contact.begin_substep(substep, self.matter.grid.cell_size + self.matter.speed * substep.length)
-        time = substep.start
+        self.matter.disturbed = moving_boxes(self._model, substep)
+        # In a substep in which all sleeps, nothing is done.
+        time = substep.start if self.matter.wake() else substep.end
         while time < substep.end:
             left = substep.end - time
             steps = max(1, int(np.ceil(left / self._stable_length() * (1.0 - 1e-9))))
@@ -138,15 +150,19 @@ class GranularStage:
         self._poured.assign(poured)
 
     def retract(self, state: State, substep: Interval) -> None:
-        """Nothing comes after this stage, and its steps stand."""
+        """The particles are again as they were at the substep's start."""
+        for name, array in self._own.items():
+            wp.copy(array, self._kept[name])
+        self._take_up()
 
     def end_frame(self, state: State, frame: Interval) -> dict[str, Any]:
-        """How many particles and blocks there are, steps and sorts of the frame, energies [J]."""
+        """How many particles and blocks there are, blocks awake, steps and sorts of the frame, energies [J]."""
         matter = self.matter
         kinetic, elastic, potential = matter.energies() if matter.count else (0.0, 0.0, 0.0)
         return {
             "particles": matter.count,
             "blocks": matter.grid.block_count,
+            "awake": matter.awake,
             "steps": self._steps,
             "sorts": matter.sorts - self._sorts,
             "kinetic_energy": kinetic,

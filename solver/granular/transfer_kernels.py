@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from plait.solver.granular.laws import law_functions
+from plait.solver.granular.stencil import stencil_functions
 from plait.solver.granular.types import BLOCK, BLOCK_NODES, TILE, TILE_NODES, granular_types
 from plait.solver.materials.symmetric import symmetric_functions
 from plait.solver.scene import GranularLaw
@@ -33,20 +34,8 @@ def transfer_kernels(laws: tuple[GranularLaw, ...], real: type) -> SimpleNamespa
     vec3, vec4, row, mat33 = types.vec3, types.vec4, types.row, types.mat33
     kirchhoff, return_map, wave_modulus = law.kirchhoff, law.return_map, law.wave_modulus
     to_matrix, trace_of, deform = functions.to_matrix, functions.trace_of, functions.deform
-    half, one, two = real(0.5), real(1.0), real(2.0)
-
-    @function
-    def spline(offset: real):
-        """The weights of a stencil's three nodes, `offset` cells (0.5 to 1.5) after the first."""
-        before = real(1.5) - offset
-        after = offset - real(0.5)
-        middle = offset - real(1.0)
-        return vec3(half * before * before, real(0.75) - middle * middle, half * after * after)
-
-    @function
-    def base_of(place: wp.float64):
-        """The first node of a stencil along an axis; place in cells."""
-        return wp.int32(wp.floor(place - wp.float64(0.5)))
+    locate, spline = stencil_functions(real).locate, stencil_functions(real).spline
+    one, two = real(1.0), real(2.0)
 
     @function
     def along_row(w: vec3):
@@ -63,29 +52,29 @@ def transfer_kernels(laws: tuple[GranularLaw, ...], real: type) -> SimpleNamespa
     def node_of(values: row, k: int):
         return vec4(values[4 * k], values[4 * k + 1], values[4 * k + 2], values[4 * k + 3])
 
+    @function
+    def node_in_tile(node: wp.vec3i):
+        """Where a node, counted from a tile's first, is in the tile."""
+        return node[0] * LAYER + node[1] * ROW + node[2]
+
     @kernel
     def to_tiles(
         first: int,
+        chosen: wp.array(dtype=wp.int32),
         particles: Particles,
         blocks: Blocks,
         materials: wp.array(dtype=Material),
         step: Step,
         tile_out: wp.array(dtype=row),
     ):
-        """Momentum [kg m/s] and mass [kg] of each block's particles on its tile; one block an item."""
-        block = first + wp.tid()
+        """Momentum [kg m/s] and mass [kg] of each chosen block's particles on its tile; one block an item."""
+        block = chosen[first + wp.tid()]
         start = block * TILE_NODES
         for n in range(TILE_ROWS):
             tile_out[start + n * BLOCK] = row()
         origin = blocks.origin[block]
         for q in range(blocks.first[block], blocks.first[block + 1]):
-            place = particles.position[q] * step.cells
-            x = base_of(place[0])
-            y = base_of(place[1])
-            z = base_of(place[2])
-            offset = vec3(
-                real(place[0] - wp.float64(x)), real(place[1] - wp.float64(y)), real(place[2] - wp.float64(z))
-            )
+            corner, offset = locate(particles.position[q], step.cells)
             material = materials[particles.material[q]]
             volume = particles.volume[q]
             mass = material.density * volume
@@ -103,7 +92,7 @@ def transfer_kernels(laws: tuple[GranularLaw, ...], real: type) -> SimpleNamespa
             )
             along_x = wp.cw_mul(weights, repeated(A[0, 0], A[1, 0], A[2, 0], real(0.0)))
             along_y = wp.cw_mul(weights, repeated(A[0, 1], A[1, 1], A[2, 1], real(0.0)))
-            base = start + (x - origin[0]) * LAYER + (y - origin[1]) * ROW + z - origin[2]
+            base = start + node_in_tile(corner - origin)
             for i in range(3):
                 here = wx[i] * value
                 change = wx[i] * along_y
@@ -114,9 +103,15 @@ def transfer_kernels(laws: tuple[GranularLaw, ...], real: type) -> SimpleNamespa
                 value = value + along_x
 
     @kernel
-    def to_nodes(first: int, blocks: Blocks, tile: wp.array(dtype=row), node_out: wp.array(dtype=row)):
-        """Momentum and mass of the nodes, from the tiles that hold them; one block of nodes an item."""
-        block = first + wp.tid()
+    def to_nodes(
+        first: int,
+        chosen: wp.array(dtype=wp.int32),
+        blocks: Blocks,
+        tile: wp.array(dtype=row),
+        node_out: wp.array(dtype=row),
+    ):
+        """Momentum and mass of the nodes, from the tiles that hold them; one chosen block of nodes an item."""
+        block = chosen[first + wp.tid()]
         start = block * BLOCK_NODES
         for r in range(BLOCK * BLOCK):
             total = row()
@@ -127,9 +122,15 @@ def transfer_kernels(laws: tuple[GranularLaw, ...], real: type) -> SimpleNamespa
             node_out[start + r * BLOCK] = total
 
     @kernel
-    def to_velocities(first: int, node: wp.array(dtype=vec4), step: Step, velocity_out: wp.array(dtype=vec4)):
-        """Velocity [m/s] of the nodes after gravity, and their mass; one block of nodes an item."""
-        start = (first + wp.tid()) * BLOCK_NODES
+    def to_velocities(
+        first: int,
+        chosen: wp.array(dtype=wp.int32),
+        node: wp.array(dtype=vec4),
+        step: Step,
+        velocity_out: wp.array(dtype=vec4),
+    ):
+        """Velocity [m/s] of the nodes after gravity, and their mass; one chosen block of nodes an item."""
+        start = chosen[first + wp.tid()] * BLOCK_NODES
         g = step.length * step.gravity
         for n in range(start, start + BLOCK_NODES):
             held = node[n]
@@ -139,73 +140,82 @@ def transfer_kernels(laws: tuple[GranularLaw, ...], real: type) -> SimpleNamespa
             else:
                 velocity_out[n] = vec4()
 
+    @function
+    def fill_tile(
+        start: int, block: int, blocks: Blocks, velocity: wp.array(dtype=row), tile: wp.array(dtype=row)
+    ):
+        """Copies the velocities of a block's eight blocks of nodes to its tile, which starts at `start`."""
+        for s in range(blocks.corner.shape[1]):
+            source = blocks.corner[block, s] * BLOCK_NODES
+            to = start + (s / 4) * BLOCK * LAYER + ((s / 2) % 2) * BLOCK * ROW + (s % 2) * BLOCK
+            for r in range(BLOCK * BLOCK):
+                tile[to + (r / BLOCK) * LAYER + (r % BLOCK) * ROW] = velocity[source + r * BLOCK]
+
+    @function
+    def gather(base: int, offset: vec3, cell_size: real, tile: wp.array(dtype=row)):
+        """v and, by columns, C of a particle whose stencil starts at node `base` of `tile`."""
+        number = vec3(real(0.0), one, two)
+        wx = spline(offset[0])
+        wy = spline(offset[1])
+        rows = row()
+        rows_x = row()
+        rows_y = row()
+        for i in range(3):
+            n = base + i * LAYER
+            middle = wy[1] * tile[n + ROW]
+            last = wy[2] * tile[n + 2 * ROW]
+            layer = wx[i] * (wy[0] * tile[n] + middle + last)
+            rows += layer
+            rows_x += number[i] * layer
+            rows_y += wx[i] * (middle + two * last)
+        weights = along_row(spline(offset[2]))
+        rows = wp.cw_mul(weights, rows)
+        middle_node = node_of(rows, 1)
+        last_node = node_of(rows, 2)
+        v = node_of(rows, 0) + middle_node + last_node
+        rows_x = wp.cw_mul(weights, rows_x)
+        along_x = node_of(rows_x, 0) + node_of(rows_x, 1) + node_of(rows_x, 2)
+        rows_y = wp.cw_mul(weights, rows_y)
+        along_y = node_of(rows_y, 0) + node_of(rows_y, 1) + node_of(rows_y, 2)
+        along_z = middle_node + two * last_node
+        scale = real(4.0) / cell_size
+        along_x = scale * (along_x - offset[0] * v)
+        along_y = scale * (along_y - offset[1] * v)
+        along_z = scale * (along_z - offset[2] * v)
+        C = mat33(
+            along_x[0], along_y[0], along_z[0],
+            along_x[1], along_y[1], along_z[1],
+            along_x[2], along_y[2], along_z[2],
+        )  # fmt: skip
+        return vec3(v[0], v[1], v[2]), C
+
     @kernel
     def to_particles(
         first: int,
+        chosen: wp.array(dtype=wp.int32),
         particles: Particles,
         blocks: Blocks,
         materials: wp.array(dtype=Material),
         step: Step,
         velocity: wp.array(dtype=row),
         tile: wp.array(dtype=row),
-        speed_out: wp.array(dtype=wp.vec2d),
+        told_out: wp.array(dtype=wp.vec3d),
     ):
-        """Moves and deforms each block's particles; `tile` is room to work in. One block an item.
+        """Moves and deforms each chosen block's particles; `tile` is room to work in. One block an item.
 
-        speed_out: [m/s] the largest part of a velocity along an axis, and the fastest sound, in the block.
+        told_out: of the block [m/s] the largest part of a velocity along an axis, [m/s] the fastest sound, and
+        [s] how long all of it has been at rest.
         """
-        block = first + wp.tid()
+        block = chosen[first + wp.tid()]
         start = block * TILE_NODES
-        for s in range(blocks.corner.shape[1]):
-            source = blocks.corner[block, s] * BLOCK_NODES
-            to = start + (s / 4) * BLOCK * LAYER + ((s / 2) % 2) * BLOCK * ROW + (s % 2) * BLOCK
-            for r in range(BLOCK * BLOCK):
-                tile[to + (r / BLOCK) * LAYER + (r % BLOCK) * ROW] = velocity[source + r * BLOCK]
-        number = vec3(real(0.0), one, two)
+        fill_tile(start, block, blocks, velocity, tile)
         origin = blocks.origin[block]
         fastest = real(0.0)
         sound = real(0.0)
+        least_rest = two * real(LOST)  # itself, LOST would change with it: Warp gives both one place
         for q in range(blocks.first[block], blocks.first[block + 1]):
-            place = particles.position[q] * step.cells
-            x = base_of(place[0])
-            y = base_of(place[1])
-            z = base_of(place[2])
-            offset = vec3(
-                real(place[0] - wp.float64(x)), real(place[1] - wp.float64(y)), real(place[2] - wp.float64(z))
-            )
-            wx = spline(offset[0])
-            wy = spline(offset[1])
-            base = start + (x - origin[0]) * LAYER + (y - origin[1]) * ROW + z - origin[2]
-            rows = row()
-            rows_x = row()
-            rows_y = row()
-            for i in range(3):
-                n = base + i * LAYER
-                middle = wy[1] * tile[n + ROW]
-                last = wy[2] * tile[n + 2 * ROW]
-                layer = wx[i] * (wy[0] * tile[n] + middle + last)
-                rows += layer
-                rows_x += number[i] * layer
-                rows_y += wx[i] * (middle + two * last)
-            weights = along_row(spline(offset[2]))
-            rows = wp.cw_mul(weights, rows)
-            middle_node = node_of(rows, 1)
-            last_node = node_of(rows, 2)
-            v = node_of(rows, 0) + middle_node + last_node
-            along_z = middle_node + two * last_node
-            rows_x = wp.cw_mul(weights, rows_x)
-            along_x = node_of(rows_x, 0) + node_of(rows_x, 1) + node_of(rows_x, 2)
-            rows_y = wp.cw_mul(weights, rows_y)
-            along_y = node_of(rows_y, 0) + node_of(rows_y, 1) + node_of(rows_y, 2)
-            scale = real(4.0) / step.cell_size
-            along_x = scale * (along_x - offset[0] * v)
-            along_y = scale * (along_y - offset[1] * v)
-            along_z = scale * (along_z - offset[2] * v)
-            C = mat33(
-                along_x[0], along_y[0], along_z[0],
-                along_x[1], along_y[1], along_z[1],
-                along_x[2], along_y[2], along_z[2],
-            )  # fmt: skip
+            corner, offset = locate(particles.position[q], step.cells)
+            v, C = gather(start + node_in_tile(corner - origin), offset, step.cell_size, tile)
             material = materials[particles.material[q]]
             trial = deform(particles.strain[q], step.length * C)
             strain, memory = return_map(trial, particles.memory[q], material)
@@ -213,17 +223,33 @@ def transfer_kernels(laws: tuple[GranularLaw, ...], real: type) -> SimpleNamespa
             particles.position[q] = particles.position[q] + wp.vec3d(
                 wp.float64(way[0]), wp.float64(way[1]), wp.float64(way[2])
             )
-            particles.velocity[q] = vec3(v[0], v[1], v[2])
+            particles.velocity[q] = v
             particles.affine[q] = C
             particles.strain[q] = strain
             particles.memory[q] = memory
             speed = wp.max(wp.max(wp.abs(v[0]), wp.abs(v[1])), wp.abs(v[2]))
             if not (speed + wp.abs(trace_of(strain)) < real(LOST)):
                 speed = real(LOST)
+            rest = real(0.0)
+            if step.still > real(0.0):
+                mean = particles.mean_velocity[q] + step.mean_part * (v - particles.mean_velocity[q])
+                particles.mean_velocity[q] = mean
+                if wp.max(wp.max(wp.abs(mean[0]), wp.abs(mean[1])), wp.abs(mean[2])) < step.still:
+                    rest = particles.rest[q] + step.length
+                particles.rest[q] = rest
             fastest = wp.max(fastest, speed)
             sound = wp.max(sound, wave_modulus(memory, material) / material.density)
-        speed_out[block] = wp.vec2d(wp.float64(fastest), wp.float64(wp.sqrt(sound)))
+            least_rest = wp.min(least_rest, rest)
+        told_out[block] = wp.vec3d(wp.float64(fastest), wp.float64(wp.sqrt(sound)), wp.float64(least_rest))
+
+    @kernel
+    def stop(first: int, chosen: wp.array(dtype=wp.int32), particles: Particles, blocks: Blocks):
+        """Takes all velocity from what falls asleep, that it may push no one on; one chosen block an item."""
+        block = chosen[first + wp.tid()]
+        for q in range(blocks.first[block], blocks.first[block + 1]):
+            particles.velocity[q] = vec3()
+            particles.affine[q] = mat33()
 
     return SimpleNamespace(
-        to_tiles=to_tiles, to_nodes=to_nodes, to_velocities=to_velocities, to_particles=to_particles
+        to_tiles=to_tiles, to_nodes=to_nodes, to_velocities=to_velocities, to_particles=to_particles, stop=stop
     )

@@ -34,6 +34,8 @@ def granular_types(real: type) -> SimpleNamespace:
         affine: wp.array(dtype=mat33)  # [1/s] C of APIC, the gradient of velocity
         strain: wp.array(dtype=sym)  # Hencky's, elastic
         memory: wp.array(dtype=real)  # of the law
+        mean_velocity: wp.array(dtype=vec3)  # [m/s] of late: what swings in place has none
+        rest: wp.array(dtype=real)  # [s] for how long that has been less than `Step.still`
         volume: wp.array(dtype=real)  # [m3] at rest
         material: wp.array(dtype=wp.int32)  # index into Scene.granular
         number: wp.array(dtype=wp.int32)  # as given, which sorting does not change
@@ -54,6 +56,8 @@ def granular_types(real: type) -> SimpleNamespace:
         cells: wp.float64  # [1/m] cells to a metre
         length: real  # [s]
         gravity: vec3  # [m/s2]
+        still: real  # [m/s] what is slower along each axis, in the mean, is at rest; 0: nothing is
+        mean_part: real  # of the velocity now in the mean of late
 
     return SimpleNamespace(
         Particles=Particles,

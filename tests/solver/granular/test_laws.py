@@ -145,3 +145,11 @@ def test_snow_hardens_as_it_is_packed():
     probe, e = Probe(matter("snow")), strains(0.01, 3)
     rest, hard = probe.state(e)[1], probe.state(e, np.log(0.9))[1]
     np.testing.assert_allclose(hard, np.exp(10 * 0.1) * rest, rtol=1e-12)
+
+
+def test_snow_is_packed_and_torn_within_bounds():
+    """J_P stays within [.6, 20], whatever flows; the elastic part yields as it would."""
+    e = 4.0 * np.eye(3) * np.array([-1.0, 1.0])[:, None, None]
+    after, memory = Probe(matter("snow")).return_map(e)
+    np.testing.assert_allclose(np.exp(memory), [0.6, 20.0], rtol=1e-12)
+    np.testing.assert_allclose(np.exp(after[:, 0, 0]), [1 - 2.5e-2, 1 + 7.5e-3], rtol=1e-12)

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from plait.solver.build import build
 from plait.solver.diagnostics import Diverged
 from plait.solver.scene import Emitter, Granular, KeyedMotion, Scene, Surface
+from plait.solver.settings import Settings
 
 from ..contact.soft_scenes import solid_box
 from .heaps import CELL, FRAME, granular, lattice, plate, run, simulated
@@ -234,6 +236,34 @@ def test_stays_as_given_until_it_starts():
     fallen = (stage.grains(0).positions[:64] - scene.granular[0].positions)[:, 1]
     # A first-order step, as long as a substep at most.
     np.testing.assert_allclose(fallen, -0.5 * 9.81 * FRAME**2, atol=0.5 * 9.81 * FRAME * FRAME / 2 + 1e-6)
+
+
+class Hesitant:
+    """A stage after all others that wants the first substep halved."""
+
+    def __init__(self) -> None:
+        self.steps = 0
+
+    def begin_frame(self, state, frame) -> None: ...
+
+    def step(self, state, substep, last_resort=False) -> bool:
+        self.steps += 1
+        return self.steps > 1
+
+    def retract(self, state, substep) -> None: ...
+
+    def end_frame(self, state, frame) -> dict:
+        return {}
+
+
+def test_a_substep_taken_again_in_halves_leaves_no_trace():
+    """As if the halves had been asked for, bit by bit, with sand poured in and thrown."""
+    halved, asked = (build(poured_scene(), Settings(threads=1, substeps=n)) for n in (1, 2))
+    halved.model.parts["hesitant"] = Hesitant()
+    for simulation in (halved, asked):
+        run(simulation, 1)
+    for name, values in asked.state.to_numpy().items():
+        np.testing.assert_array_equal(halved.state.to_numpy()[name], values, err_msg=name)
 
 
 def test_what_is_not_finite_is_told():
