@@ -32,7 +32,10 @@ def mobility(stage: RigidStage, bodies: np.ndarray, *, supports: bool = True) ->
     World, about the centres of mass. With M the mass and J what joints hold, and with `supports` contacts and
     limits that bore a load in the last substep, these as if they could pull:
     M^-1 - M^-1 J^T (J M^-1 J^T)^-1 J M^-1. Friction holds nothing here.
+    Zero before the bodies are released.
     """
+    if stage.held:
+        return np.zeros((len(bodies), 6, 6))
     rows = [*_joint_rows(stage), *(_support_rows(stage) if supports else ())]
     islands = _islands(len(stage.bodies), rows)
     roots = _inverse_mass_roots(stage)

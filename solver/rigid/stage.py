@@ -58,6 +58,7 @@ class RigidStage:
     angular_momentum: (body_count,) vec3d [kg m2/s] about the centre of mass, world.
     impulse: (body_count,) vec3d [kg m/s], and angular_impulse: (body_count,) vec3d [kg m2/s] about the centre of
         mass, that others add to; the next substep takes them up.
+    held: whether the substep last stepped was before the bodies' release.
 
     State arrays: rigid/ and those names; rigid/still_position, still_orientation, still_time and asleep, see
     `Motion`; rigid/contact_count, contact_geom, contact_feature, contact_normal and
@@ -74,6 +75,7 @@ class RigidStage:
         for motion in (self.motion, self._before):
             for name, dtype in MOTION.items():
                 setattr(motion, name, wp.zeros(self._count, dtype=dtype, device=device))
+        self.held = model.start_time < model.scene.rigid_start
         self._place(model.start_time)
         state.arrays |= {f"rigid/{name}": getattr(self.motion, name) for name in MOTION}
         self.position, self.orientation = self.motion.position, self.motion.orientation
@@ -181,12 +183,9 @@ class RigidStage:
         self.contact.retract()
         self._move(substep)
 
-    def held(self, substep: Interval) -> bool:
-        """Whether all bodies still go where their motions take them, and nothing moves them."""
-        return 0.5 * (substep.start + substep.end) < self._model.scene.rigid_start
-
     def _move(self, substep: Interval) -> None:
-        if self.held(substep):
+        self.held = 0.5 * (substep.start + substep.end) < self._model.scene.rigid_start
+        if self.held:
             self._place(substep.end)
             self.motion.impulse.zero_()
             self.motion.angular_impulse.zero_()
