@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 
+from plait.assets.jelly import ball
 from plait.pipeline import preview
 from plait.pipeline.errors import PlaitError
 
@@ -177,3 +179,18 @@ def test_pinwheels_that_stand_still_or_hold_sand_fail_their_check():
     for broken in (within, behind):
         with pytest.raises(AssertionError):
             example.check_clear(shown(around), "broken", [clear] * 4 + [broken], 0.01)
+
+
+def test_jellies_that_hold_sand_within_or_shrink_fail_their_check():
+    example = load(next(folder for folder in EXAMPLES if folder.name == "sand_on_jellies"))
+    np, size = example.np, example.SIZES["default"]
+    points, triangles = ball(0.05)
+    points = points + np.array([0.0, 0.05, 0.0])
+    on = np.array([[0.0, 0.11, 0.0], [0.2, 0.01, 0.0]])
+    modulus = size.moduli[0]
+    held = example.Jelly(points, 0.999 * points, triangles, on)
+    assert held.held == 0.5
+    example.check_jelly(held, modulus, size)
+    for broken in ({"points": 0.8 * points}, {"grains": on - np.array([0.0, 0.05, 0.0])}, {"grains": on[1:]}):
+        with pytest.raises(AssertionError):
+            example.check_jelly(replace(held, **broken), modulus, size)
