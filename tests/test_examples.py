@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 
+from plait.assets.jelly import ball
 from plait.pipeline import preview
 from plait.pipeline.errors import PlaitError
 
@@ -150,3 +152,45 @@ def test_hair_that_goes_stiffly_with_the_head_fails_its_check():
     for example in (walking, dancer):
         with pytest.raises(AssertionError):
             example.check(worn)
+
+
+def test_pinwheels_that_stand_still_or_hold_sand_fail_their_check():
+    example = load(next(folder for folder in EXAMPLES if folder.name == "pinwheels"))
+    np, shot = example.np, example.SHOT
+    axes, senses = shot["axes"](3), shot["senses"](3)
+
+    def shown(turns, off=0.0):
+        wheels = np.tile(np.eye(4), (len(turns), 3, 1, 1))
+        wheels[..., :3, 3] = axes + np.array([off, 0.0, 0.0])
+        for frame, turn in enumerate(turns):
+            cos, sin = np.cos(turn), np.sin(turn * senses)
+            wheels[frame, :, 0, 0], wheels[frame, :, 0, 1] = cos, -sin
+            wheels[frame, :, 1, 0], wheels[frame, :, 1, 1] = sin, cos
+        return example.Shown(wheels, [], [])
+
+    around = np.linspace(0.0, 4.0, 5)
+    example.check_wheels(shown(around))
+    for broken in (shown(0.0 * around), shown(-around), shown(around, off=0.01 * shot["RADIUS"])):
+        with pytest.raises(AssertionError):
+            example.check_wheels(broken)
+    clear, within = np.array([[0.0, 1.0, 0.0]]), axes[:1]
+    behind = clear + np.array([0.0, 0.0, 2.0 * shot["HALF_DEPTH"]])
+    example.check_clear(shown(around), "clear", [clear] * 5, 0.01)
+    for broken in (within, behind):
+        with pytest.raises(AssertionError):
+            example.check_clear(shown(around), "broken", [clear] * 4 + [broken], 0.01)
+
+
+def test_jellies_that_hold_sand_within_or_shrink_fail_their_check():
+    example = load(next(folder for folder in EXAMPLES if folder.name == "sand_on_jellies"))
+    np, size = example.np, example.SIZES["default"]
+    points, triangles = ball(0.05)
+    points = points + np.array([0.0, 0.05, 0.0])
+    on = np.array([[0.0, 0.11, 0.0], [0.2, 0.01, 0.0]])
+    modulus = size.moduli[0]
+    held = example.Jelly(points, 0.999 * points, triangles, on)
+    assert held.held == 0.5
+    example.check_jelly(held, modulus, size)
+    for broken in ({"points": 0.8 * points}, {"grains": on - np.array([0.0, 0.05, 0.0])}, {"grains": on[1:]}):
+        with pytest.raises(AssertionError):
+            example.check_jelly(replace(held, **broken), modulus, size)
