@@ -78,6 +78,7 @@ class NearSurfaces:
         self._exit_speed = model.settings.contact.exit_speed
         self.near: list[Collider] = []
         self._led: tuple[wp.array, float, wp.array] | None = None
+        self._sorts, self._standing = -1, dict[int, tuple[np.ndarray, list[np.ndarray]]]()
         self._rim = self._find_rims()
 
     def begin_substep(self, substep: Interval, margin: float) -> bool:
@@ -104,6 +105,8 @@ class NearSurfaces:
 
     def find(self, since: float) -> None:
         """Fills `found`, so long [s] after the substep's start."""
+        if self._sorts != self._matter.sorts:
+            self._sorts, self._standing = self._matter.sorts, {}
         self._middles: np.ndarray | None = None
         self._sunk: list[tuple[np.ndarray, np.ndarray]] = []
         every = [self._find_on(collider, since) for collider in self.near]
@@ -142,7 +145,19 @@ class NearSurfaces:
         return tuple(column[behind | by_matter] for column in columns)
 
     def _nodes_near(self, collider: Collider) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Nodes behind a surface, or less than half a cell above it or what it sweeps; what `_measure` tells."""
+        """Nodes behind a surface, or less than half a cell above it or what it sweeps; what `_measure` tells.
+
+        Told again for a surface that stays where it is, until nodes are others.
+        """
+        if not collider.moves and collider.index in self._standing:
+            node, held = self._standing[collider.index]
+            return node, [column.copy() for column in held]
+        node, held = self._look_for_nodes(collider)
+        if not collider.moves:
+            self._standing[collider.index] = node, [column.copy() for column in held]
+        return node, held
+
+    def _look_for_nodes(self, collider: Collider) -> tuple[np.ndarray, list[np.ndarray]]:
         grid = self._matter.grid
         ends = np.concatenate(self._ends(collider))
         origin = grid.data.node_origin.numpy()[: grid.node_block_count]
