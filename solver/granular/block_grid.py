@@ -13,7 +13,7 @@ CORNERS = np.indices((2, 2, 2)).reshape(3, -1).T
 # Where the eight blocks of nodes start in a tile.
 IN_TILE = (CORNERS * BLOCK) @ np.array([TILE * TILE, TILE, 1])
 # What must grow grows by this more than asked, so that it seldom has to.
-SLACK = 1.2
+SLACK = 1.1
 WORD = 4  # bytes
 # Costs of a particle in units of `Launcher.launch`.
 KEY_WORK, REORDER_WORK = 1, 1
