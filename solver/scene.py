@@ -22,7 +22,7 @@ SkinningMethod = Literal["linear", "dual-quaternion"]
 ElasticLaw = Literal["fixed-corotated", "neo-hookean", "stvk"]
 ShapeKind = Literal["sphere", "capsule", "cylinder", "cone", "box"]
 JointKind = Literal["fixed", "revolute", "spherical", "prismatic", "distance"]
-GranularLaw = Literal["sand", "snow"]
+GranularLaw = Literal["sand", "snow", "elastic"]
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from plait.solver.granular import sand, snow
+from plait.solver.granular import elastic, sand, snow
 from plait.solver.granular.material import material_type
 from plait.solver.materials.symmetric import symmetric_functions
 from plait.solver.scene import Granular, GranularLaw
@@ -33,6 +33,7 @@ class Law(NamedTuple):
 LAWS: dict[GranularLaw, Law] = {
     "sand": Law(sand.sand, sand.parameters),
     "snow": Law(snow.snow, snow.parameters),
+    "elastic": Law(elastic.elastic, elastic.parameters),
 }
 
 

@@ -17,6 +17,7 @@ from types import SimpleNamespace
 import numpy as np
 import warp as wp
 
+from plait.solver.granular.elastic import elastic
 from plait.solver.granular.material import material_type
 from plait.solver.materials.rotation import module_name
 from plait.solver.materials.symmetric import symmetric_functions
@@ -37,15 +38,6 @@ def sand(real: type) -> SimpleNamespace:
     trace_of, size_squared, plus_isotropic = functions.trace_of, functions.size_squared, functions.plus_isotropic
 
     @wp.func(module=module)
-    def sand_energy(strain: sym, memory: real, m: Material):
-        dilation = trace_of(strain)
-        return m.mu * size_squared(strain) + real(0.5) * m.lam * dilation * dilation
-
-    @wp.func(module=module)
-    def sand_stress(strain: sym, memory: real, m: Material):
-        return plus_isotropic(real(2.0) * m.mu * strain, m.lam * trace_of(strain))
-
-    @wp.func(module=module)
     def sand_return(strain: sym, memory: real, m: Material):
         e = plus_isotropic(strain, memory / real(3.0))
         dilation = trace_of(e)
@@ -59,10 +51,10 @@ def sand(real: type) -> SimpleNamespace:
             return e, real(0.0)
         return plus_isotropic((admissible / size) * shear, mean), real(0.0)
 
-    @wp.func(module=module)
-    def sand_modulus(memory: real, m: Material):
-        return m.lam + real(2.0) * m.mu
-
+    own = elastic(real)
     return SimpleNamespace(
-        energy_density=sand_energy, kirchhoff=sand_stress, return_map=sand_return, wave_modulus=sand_modulus
+        energy_density=own.energy_density,
+        kirchhoff=own.kirchhoff,
+        return_map=sand_return,
+        wave_modulus=own.wave_modulus,
     )

@@ -82,7 +82,7 @@ def test_agrees_with_linear_elasticity_at_rest(law):
 @each_law
 def test_among_others_a_law_is_itself(law):
     e, granular = strains(0.1), matter(law)
-    alone, among = Probe(granular), Probe(granular, among=("snow", "sand"))
+    alone, among = Probe(granular), Probe(granular, among=("snow", "sand", "elastic"))
     for a, b in zip((*alone.state(e), *alone.return_map(e)), (*among.state(e), *among.return_map(e)), strict=True):
         np.testing.assert_array_equal(a, b)
 
