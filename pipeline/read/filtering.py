@@ -39,7 +39,9 @@ def _of_joints(source: Source, surfaces: Sequence[Surface]) -> Iterator[tuple[In
     """What a joint holds together, unless it says otherwise; the world as a whole is none of it."""
     for prim in source.stage.Traverse():
         joint = UsdPhysics.Joint(prim)
-        if not joint or joint.GetCollisionEnabledAttr().Get() or not joint.GetJointEnabledAttr().Get():
+        if not joint or joint.GetCollisionEnabledAttr().Get(source.start):
+            continue
+        if not joint.GetJointEnabledAttr().Get(source.start):
             continue
         sides = [relation.GetTargets() for relation in (joint.GetBody0Rel(), joint.GetBody1Rel())]
         if all(sides):

@@ -118,8 +118,7 @@ def _companions(positions: np.ndarray, cell: float) -> float:
     """How many the cell of a typical point holds."""
     at = np.floor((positions - positions.min(axis=0)) / cell).astype(np.uint64)
     with np.errstate(over="ignore"):
-        keys = at @ np.array(
-            [73856093, 19349663, 83492791], np.uint64
-        )  # few that differ share one, and do no harm
+        # Few cells that differ share a key, and do no harm.
+        keys = at @ np.array([73856093, 19349663, 83492791], np.uint64)
     _, of_point, counts = np.unique(keys, return_inverse=True, return_counts=True)
     return float(np.median(counts[of_point]))

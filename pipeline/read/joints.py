@@ -159,6 +159,8 @@ def _cone(source: Source, prim: Usd.Prim) -> float | None:
     if not prim.IsA(UsdPhysics.SphericalJoint):
         return None
     angles = [float(prim.GetAttribute(f"physics:coneAngle{k}Limit").Get(source.start)) for k in (0, 1)]
+    if np.isnan(angles).any():
+        raise source.error("is not a number", prim, "physics:coneAngle0Limit", "author an angle in degrees")
     given = [angle for angle in angles if angle >= 0.0]
     if not given or min(given) >= 180.0:
         return None

@@ -56,10 +56,9 @@ class StrandExchange:
     def begin_substep(self, substep: Interval) -> None:
         self._length = substep.length
         self._strands.given.zero_()
-        self._place(0.0)
-        chosen = self._near(self._matter.grid.cell_size)
-        self.speed = float(np.abs(self._stage.velocity.numpy()[chosen]).max(initial=0.0))
-        self._find_at(0.0)
+        self.find(0.0)
+        velocity = self._stage.velocity.numpy()
+        self.speed = float(np.abs(velocity[self._chosen]).max(initial=0.0))
 
     def _place(self, since: float) -> None:
         """Where the strands' nodes are so long [s] after the substep's start."""
@@ -74,13 +73,9 @@ class StrandExchange:
 
     def find(self, since: float) -> None:
         self._place(since)
-        self._find_at(since)
-
-    def _find_at(self, since: float) -> None:
-        """Takes up the nodes of both, the strands being where they are placed."""
         self._found_at, self._count = since, 0
         grains, grid, strands, device = self._matter.grid, self._grid, self._strands, self._launcher.device
-        chosen = self._near(grains.cell_size)
+        self._chosen = chosen = self._near(grains.cell_size)
         if not len(chosen):
             return
         grid.place(self._position[chosen])

@@ -13,7 +13,7 @@ from plait.solver.model import Model
 from plait.solver.rigid import shape_kernels as kinds
 from plait.solver.rigid.quaternions import quaternion
 from plait.solver.rigid.types import Geoms
-from plait.solver.scene import Shape, Surface
+from plait.solver.scene import Shape
 
 KINDS = {
     "sphere": kinds.SPHERE,
@@ -193,7 +193,6 @@ class GeomTable:
     def __init__(self, model: Model, centers: list[np.ndarray]) -> None:
         """centers: [m] of mass, in rest space, a body each."""
         self._device = model.launcher.device
-        self._surfaces = model.scene.surfaces
         kinematics = model.parts["kinematics"]
         items = kinematics.colliders.items if kinematics.colliders else []
         self.colliders: list[Collider] = [item for item in items if not item.carried]
@@ -201,8 +200,8 @@ class GeomTable:
         self.surfaces = [item.index for item in (*carried, *self.colliders)]
         self.carried_count = len(carried)
         self._triangles = kinematics.colliders.triangles.numpy() if items else np.zeros((0, 3), dtype=np.int32)
-        self._meshes: list[wp.Mesh | None] = []
         self._parts: list[Features] = []
+        self.meshes: list[wp.Mesh] = []
         self.geoms = Geoms()
         self.geoms.count, self.geoms.carried_count = len(self.surfaces), self.carried_count
         self._lay_out([*carried, *self.colliders], centers, model)
@@ -259,13 +258,12 @@ class GeomTable:
             [0.0 if s.rigid is None else bodies[s.rigid].restitution for s in surfaces], wp.float64
         )
         self._hold_features(items, meshes)
-        offsets, others = filter_lists(self.surfaces, self._surfaces, model)
+        offsets, others = filter_lists(self.surfaces, model)
         geoms.filter_offsets, geoms.filtered = hold(offsets, wp.int32), hold(others, wp.int32)
 
     def _hold_features(self, items: list[Collider], meshes: list) -> None:
         geoms, hold, parts = self.geoms, self._array, self._parts[: self.carried_count]
         vertex, triangle, edges, index, fans = 0, 0, [], [], []
-        self.meshes = []
         ids, first_triangle = [], []
         for k, (item, part) in enumerate(zip(items, self._parts, strict=True)):
             if k < self.carried_count:
@@ -319,9 +317,7 @@ class GeomTable:
         return wp.array(np.array(values), dtype=dtype, device=self._device)
 
 
-def filter_lists(
-    geom_surfaces: list[int], surfaces: tuple[Surface, ...], model: Model
-) -> tuple[np.ndarray, np.ndarray]:
+def filter_lists(geom_surfaces: list[int], model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Of each geom those it does not touch: offsets (n + 1,) and the geoms, ascending."""
     scene = model.scene
     geom_of = {surface: geom for geom, surface in enumerate(geom_surfaces)}
@@ -345,10 +341,8 @@ def filter_lists(
 
 def _bounds(points: np.ndarray, part: Features) -> tuple[np.ndarray, np.ndarray]:
     """Of the triangles and the shape."""
-    held = [points]
-    for radius, of_radius in ((part.radius[:, None], part.points),):
-        held += [of_radius - radius, of_radius + radius]
-    every = np.concatenate(held)
+    radius = part.radius[:, None]
+    every = np.concatenate([points, part.points - radius, part.points + radius])
     return every.min(axis=0), every.max(axis=0)
 
 

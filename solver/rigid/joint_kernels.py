@@ -33,9 +33,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def row_response(
-    masses: Masses, start: Start, b: int, force: wp.vec3d, torque: wp.vec3d, lever: wp.vec3d
-) -> wp.vec3d:
+def row_response(start: Start, b: int, force: wp.vec3d, torque: wp.vec3d, lever: wp.vec3d) -> wp.vec3d:
     """[1/s] the spin that a unit row impulse gives a body."""
     return start.inertia_inverse[b] * (wp.cross(lever, force) + torque)
 
@@ -106,11 +104,11 @@ def begin_joint(
             driven = i == k and drives(joints, j, i)
             if driven or (holds(kind, i) and holds(kind, k)):
                 if a >= 0:
-                    spin = row_response(masses, start, a, force_k, torque_k, joints.lever_a[j])
+                    spin = row_response(start, a, force_k, torque_k, joints.lever_a[j])
                     value += wp.dot(force_i, force_k) / masses.mass[a]
                     value += wp.dot(wp.cross(joints.lever_a[j], force_i) + torque_i, spin)
                 if b >= 0:
-                    spin = row_response(masses, start, b, force_k, torque_k, joints.lever_b[j])
+                    spin = row_response(start, b, force_k, torque_k, joints.lever_b[j])
                     value += wp.dot(force_i, force_k) / masses.mass[b]
                     value += wp.dot(wp.cross(joints.lever_b[j], force_i) + torque_i, spin)
             elif i == k:

@@ -95,7 +95,8 @@ def test_filtered_pairs(read) -> None:
 def test_a_joint_keeps_what_it_holds_apart(read) -> None:
     """Also from what is not simulated; unless it says otherwise."""
     ground = 'def Cube "A" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {}\n'
-    for lines, count in (("", 1), ("bool physics:collisionEnabled = 1", 0)):
+    enabled = "bool physics:collisionEnabled"
+    for lines, count in (("", 1), (f"{enabled} = 1", 0), (f"{enabled}.timeSamples = {{0: 1}}", 0)):
         assert len(read(ground + _cube("B", 800) + _joint("Fixed", lines)).scene.filtered) == count
 
 
