@@ -58,7 +58,7 @@ def write(path: Path, frames: int, hairs: int, segments: int, spacing: float) ->
     author_parameters(snow.GetPrim(), {"spacing": spacing, **SNOW}, role="snow")
     velocity = snow.GetPrim().CreateAttribute("plait:velocity", Sdf.ValueTypeNames.Float3)
     velocity.Set(Gf.Vec3f(*VELOCITY))
-    add_camera(stage, "/World/Camera", (0.0, 0.12, 1.5), 2.0)
+    add_camera(stage, "/World/Camera", (0.0, 0.09, 1.9), 2.0)
     stage.Save()
 
 
