@@ -194,3 +194,44 @@ def test_jellies_that_hold_sand_within_or_shrink_fail_their_check():
     for broken in ({"points": 0.8 * points}, {"grains": on - np.array([0.0, 0.05, 0.0])}, {"grains": on[1:]}):
         with pytest.raises(AssertionError):
             example.check_jelly(replace(held, **broken), modulus, size)
+
+
+def test_hair_that_snow_does_not_push_or_throws_fails_its_check():
+    example = load(next(folder for folder in EXAMPLES if folder.name == "snowball_on_hair"))
+    np, size = example.np, example.SIZES["default"]
+    out = ball(1.0)[0]
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    along = np.linspace(0.0, example.SHOT["HAIR"], size.segments + 1)[:, None]
+    straight = example.SHOT["RADIUS"] * out[:, None] + along * out[:, None]
+    aside = np.cross(out, [0.3, 0.5, 0.8])  # the way of no point of the ball
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    bent = straight[:, :1] + along * aside[:, None]
+    hit, far = example.struck(straight[:, 0])
+    assert hit.any() and far.any() and not (hit & far).any()
+    frames = np.array([straight] * (size.frames + 1))
+    frames[1, hit] = bent[hit]
+    frames[size.landed + 1] = bent  # all of it, as the ball shakes
+    speeds = np.full(frames.shape[:2], 0.9 * np.linalg.norm(example.SHOT["VELOCITY"]))
+    held = example.Shown(frames, speeds, [])
+    example.check_hair(held, size)
+    untouched, everywhere, left = frames.copy(), frames.copy(), frames.copy()
+    untouched[1], everywhere[1], left[-1] = straight, bent, bent
+    for broken in ({"hair": untouched}, {"hair": everywhere}, {"hair": left}, {"speeds": 4.0 * speeds}):
+        with pytest.raises(AssertionError):
+            example.check_hair(replace(held, **broken), size)
+
+
+def test_snow_that_stays_or_goes_into_the_ball_fails_its_check():
+    example = load(next(folder for folder in EXAMPLES if folder.name == "snowball_on_hair"))
+    np, size = example.np, example.SIZES["default"]
+    thrown = 0.045 * ball(1.0)[0] / np.abs(ball(1.0)[0]).max() + example.SHOT["START"]
+    flat = (thrown - example.SHOT["START"]) * [1.2, 0.1, 1.2] + [0.0, 0.1, 0.0]
+    snow = [thrown] + [flat] * size.landed + [10.0 * thrown] * (size.frames - size.landed)
+    held = example.Shown(np.zeros(0), np.zeros(0), snow)
+    example.check_snow(held, size)
+    within = [*snow[:5], flat - [0.0, 0.1, 0.0], *snow[6:]]
+    ricochet = [thrown] + snow[-1:] * size.frames
+    whole = [thrown] + [thrown - example.SHOT["START"] + [0.0, 0.13, 0.0]] * size.landed + snow[size.landed + 1 :]
+    for broken in (within, ricochet, whole, [*snow[:-1], flat]):
+        with pytest.raises(AssertionError):
+            example.check_snow(replace(held, snow=broken), size)
