@@ -136,6 +136,7 @@ class Surface:
     collides: False for a surface that only carries roots.
     thickness: [m] distance kept from this surface beside a strand's own radius.
     friction: Coulomb coefficient; None leaves it to what touches it.
+    restitution: of impacts on it, 0 to 1, where no body carries it; of a pair the larger counts.
     body: index into `Scene.bodies` of the elastic body whose skin this is: its points then go where that body
         takes them, and `motion`, `skinning` and `blend_shapes` only say where it starts.
     rigid: index into `Scene.rigid_bodies` of the rigid body that carries this surface, in the same way.
@@ -151,6 +152,7 @@ class Surface:
     collides: bool = True
     thickness: float = 0.0
     friction: float | None = None
+    restitution: float = 0.0
     body: int | None = None
     rigid: int | None = None
     shape: Shape | None = None
@@ -450,3 +452,11 @@ class Scene:
     granular: tuple[Granular, ...] = ()
     granular_start: float = -np.inf
     rigid_start: float = -np.inf
+
+    def restitution(self, surface: Surface) -> float:
+        """Of impacts on one of the surfaces: its own, or that of the body that carries it."""
+        if surface.rigid is not None:
+            return self.rigid_bodies[surface.rigid].restitution
+        if surface.body is not None:
+            return self.bodies[surface.body].restitution
+        return surface.restitution

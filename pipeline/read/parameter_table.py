@@ -148,7 +148,7 @@ PARAMETERS = (
     ),
     Parameter(
         "restitution", "1", "speed after over speed before an impact; of a pair the larger counts",
-        roles=(FLESH, RIGID),
+        roles=(COLLIDER, FLESH, RIGID),
         default=0.0, low=0.0, high=1.0, low_allowed=True, authored=("physics:restitution",),
     ),
     Parameter(

@@ -262,7 +262,10 @@ class _Reader:
         given = parameters.resolve(self.source, body.prim, COLLIDER, self.config)
         tell_of_approximation(self.source, body.prim, body.surface)
         return replace(
-            body.surface, thickness=given["clearance"], friction=given["friction"] if "friction" in given else None
+            body.surface,
+            thickness=given["clearance"],
+            friction=given["friction"] if "friction" in given else None,
+            restitution=given["restitution"],
         )
 
     # --- report -----------------------------------------------------------------------------------------------

@@ -153,6 +153,7 @@ def strike(
     first: int,
     active: wp.array(dtype=wp.int32),
     points: SkinPoints,
+    restitution: wp.array(dtype=wp.float64),
     x: wp.array(dtype=wp.vec3d),
     approach: wp.float64,
     planes: ObstaclePlanes,
@@ -160,8 +161,8 @@ def strike(
 ):
     """1 where the nodes at x take an active point through a plane that held no force; one an item.
 
-    Such a point leaves the surface as fast as it came, times its restitution (Newton's law of impact).
-    approach: [m] of the point towards the surface in the substep, below which it does not count.
+    Such a point leaves the surface as fast as it came, times the larger restitution (Newton's law of impact).
+    restitution: of the scene's surfaces.  approach: [m] of the point towards the surface in the substep, below which it does not count.
     """
     item = first + wp.tid()
     q = active[item]
@@ -174,7 +175,8 @@ def strike(
             nearer = wp.dot(planes.normal[slot], planes.anchor[slot]) - height
             if height < planes.offset[slot] and nearer > approach:
                 struck = 1
-                back = wp.dot(planes.normal[slot], planes.anchor[slot]) + points.restitution[q] * nearer
+                e = wp.max(points.restitution[q], restitution[planes.surface[slot]])
+                back = wp.dot(planes.normal[slot], planes.anchor[slot]) + e * nearer
                 planes.rebound[slot] = wp.max(back - planes.offset[slot], ZERO)
     struck_out[item] = struck
 

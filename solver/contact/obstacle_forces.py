@@ -132,7 +132,7 @@ class ObstacleForces:
         """
         struck = wp.zeros(self.count, dtype=wp.int32, device=self._launcher.device)
         approach = IMPACT_SPEED * self._shared.length
-        inputs = [self.active, self._shared.points, position, approach]
+        inputs = [self.active, self._shared.points, self._shared.restitution, position, approach]
         self._launcher.launch(strike, self.count, inputs, [self._shared.planes, struck])
         return bool(struck.numpy().any())
 

@@ -73,6 +73,8 @@ class Obstacles:
         self._kinematics, self._rigid = model.parts["kinematics"], model.parts.get("rigid")
         self._exit_speed = model.settings.contact.exit_speed
         self.points = self._hold_points(model, particles)
+        told = [model.scene.restitution(surface) for surface in model.scene.surfaces]
+        self.restitution = wp.array(told, dtype=wp.float64, device=self.launcher.device)
         self.before, self.planes = (self._allocate(particles.count) for _ in range(2))
         for name in KEPT:
             state.arrays[f"obstacles/{name}"] = getattr(self.before, name)

@@ -253,10 +253,7 @@ class GeomTable:
         geoms.body = hold([-1 if s.rigid is None else s.rigid for s in surfaces], wp.int32)
         geoms.friction = hold([-1.0 if s.friction is None else s.friction for s in surfaces], wp.float64)
         geoms.thickness = hold([s.thickness for s in surfaces], wp.float64)
-        bodies = model.scene.rigid_bodies
-        geoms.restitution = hold(
-            [0.0 if s.rigid is None else bodies[s.rigid].restitution for s in surfaces], wp.float64
-        )
+        geoms.restitution = hold([model.scene.restitution(s) for s in surfaces], wp.float64)
         self._hold_features(items, meshes)
         offsets, others = filter_lists(self.surfaces, model)
         geoms.filter_offsets, geoms.filtered = hold(offsets, wp.int32), hold(others, wp.int32)

@@ -220,6 +220,9 @@ def test_materials_give_friction_and_restitution(read) -> None:
     assert shot.scene.surfaces[0].friction == pytest.approx(0.7)
     assert _only(shot).restitution == pytest.approx(0.25)
     assert read(_prim("Cube")).scene.surfaces[0].friction is None, "left to the solver's own"
+    still = _prim("Cube", "rel material:binding:physics = </Stuff>", ("PhysicsCollisionAPI",), name="Still")
+    scene = read(_prim("Cube") + still + stuff).scene
+    assert [scene.restitution(surface) for surface in scene.surfaces] == pytest.approx([0.0, 0.25])
 
 
 def test_what_is_not_simulated(read) -> None:

@@ -188,6 +188,14 @@ def test_balls_head_on_part_as_newton_says(restitution):
     assert scene.mass @ scene.velocity / scene.mass.sum() == pytest.approx(before, rel=1e-13)
 
 
+@pytest.mark.parametrize(("own", "floors"), [(0.5, 0.0), (0.0, 0.8), (0.9, 0.3)])
+def test_a_ball_leaves_the_floor_by_the_larger_restitution(own, floors):
+    ball = shaped("sphere", 0.1, (0.0, 0.2, 0.0), velocity=[0.0, -2.0, 0.0], restitution=own)
+    scene = Rigid([ball], [floor(restitution=floors)], gravity=(0.0, 0.0, 0.0))
+    scene.run(0.25)
+    assert scene.velocity[0] == pytest.approx([0.0, 2.0 * max(own, floors), 0.0], abs=1e-6)
+
+
 def test_momenta_of_a_closed_scene_hold():
     """Both, of twelve boxes, balls and cylinders thrown together with friction: 1e-12 of their sizes a second."""
     random = np.random.default_rng(5)
