@@ -84,7 +84,7 @@ class RigidSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """
 
     method: Literal["exact", "paper"] = "exact"
-    stiffness: Positive = 1e6
+    stiffness: Positive = 2e6
     tolerance: Positive = 1e-6
     iterations: Count = 200
     passes: Count = 10

@@ -26,9 +26,10 @@ from plait.solver.model import Interval, Model
 from plait.solver.rigid.paper_kernels import (
     Field,
     Layers,
-    Placed,
     carry_directors,
+    gather_forces,
     gather_layers,
+    look,
     place_directors,
     press,
     push_bodies,
@@ -43,9 +44,9 @@ from plait.solver.state import State
 # Cells between two particles that share nodes, and between those and particles that their nodes get mass of.
 SHARING, NEEDED = 3.0, 6.0
 # Part of the longest stable step that is taken.
-SAFETY = 0.5
+SAFETY = 0.7
 FOUND = {
-    "normal": wp.vec3d,
+    "facing": wp.vec3d,
     "director": wp.vec3d,
     "pull": wp.vec3d,
     "impulse": wp.vec3d,
@@ -53,7 +54,13 @@ FOUND = {
     "animated": wp.float64,
     "met_friction": wp.float64,
 }
-LAYERED = {"mass": wp.float64, "velocity": wp.vec3d, "force": wp.vec3d, "friction": wp.float64}
+LAYERED = {
+    "mass": wp.float64,
+    "velocity": wp.vec3d,
+    "normal": wp.vec3d,
+    "force": wp.vec3d,
+    "friction": wp.float64,
+}
 # Costs of items in units of `Launcher.launch`.
 DIRECTOR_WORK, NODE_WORK, PARTICLE_WORK, PAIR_WORK, BODY_WORK = 10, 60, 400, 100, 200
 
@@ -169,6 +176,8 @@ class PaperContact:
         count = int(own_first[-1])
         launch(place_directors, count, [field], work_per_item=DIRECTOR_WORK)
         launch(gather_layers, len(field.layers.mass), [field], work_per_item=NODE_WORK)
+        launch(look, count, [field], work_per_item=PARTICLE_WORK)
+        launch(gather_forces, len(field.layers.mass), [field], work_per_item=NODE_WORK)
         launch(press, count, [field], work_per_item=PARTICLE_WORK)
         pair_particle, pair_body, pair_first = self._pair_up(bodies, pairs, own_first)
         share = wp.zeros(len(pair_particle), dtype=wp.float64, device=self._launcher.device)
@@ -245,6 +254,8 @@ class PaperContact:
         placed.body = self._hold(body)
         placed.lever = self._hold(np.concatenate([levers, nowhere]), wp.vec3d)
         placed.velocity = self._hold(np.concatenate([np.zeros((count, 3)), velocity]), wp.vec3d)
+        normal = np.concatenate([np.zeros((count, 3)), animated.normal[met]])
+        placed.normal = self._hold(normal, wp.vec3d)
         placed.mass = self._hold(np.concatenate([skin.mass[particles], animated.area[met]]), wp.float64)
         placed.friction = self._hold(
             np.concatenate([skin.friction[particles], animated.friction[met]]), wp.float64
@@ -270,8 +281,7 @@ class PaperContact:
     def _pair_up(
         self, bodies: np.ndarray, pairs: list[tuple[int, int]], own_first: np.ndarray
     ) -> tuple[wp.array, wp.array, wp.array]:
-        """Particles of other bodies that may push each of `bodies`: (n,) and the bodies pushed (n,); where they begin.
-        """
+        """Particles of other bodies that may push each of `bodies`: (n,) and the bodies pushed (n,); where they begin."""
         at = {int(b): np.arange(own_first[k], own_first[k + 1]) for k, b in enumerate(bodies)}
         pushing: list[list[np.ndarray]] = [[np.zeros(0, dtype=int)] for _ in bodies]
         place = {int(b): k for k, b in enumerate(bodies)}

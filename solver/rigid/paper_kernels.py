@@ -52,8 +52,9 @@ class Placed:
     velocity: wp.array(dtype=wp.vec3d)  # [m/s] of what is animated
     mass: wp.array(dtype=wp.float64)  # [kg]; of what is animated its area [m2]
     friction: wp.array(dtype=wp.float64)  # negative: not told
-    normal: wp.array(dtype=wp.vec3d)  # world
+    normal: wp.array(dtype=wp.vec3d)  # unit, world
     director: wp.array(dtype=wp.vec3d)  # world
+    facing: wp.array(dtype=wp.vec3d)  # unit, the way to what is seen
     pull: wp.array(dtype=wp.vec3d)  # [N m] V_q dpsi/dd
     impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] I_q
     seen: wp.array(dtype=wp.float64)  # sum over nodes of w_iq times the part of the node's mass that others have
@@ -70,6 +71,7 @@ class Layers:
     block: wp.array(dtype=wp.int32)
     mass: wp.array(dtype=wp.float64)  # [kg]; of what is animated area [m2]
     velocity: wp.array(dtype=wp.vec3d)  # [m/s] of what is animated
+    normal: wp.array(dtype=wp.vec3d)  # sum of normals, each with the mass it counts for
     force: wp.array(dtype=wp.vec3d)  # [N]
     friction: wp.array(dtype=wp.float64)  # negative: not told
 
@@ -97,30 +99,23 @@ class View:
     animated: wp.float64  # of the mass that what is animated has
     velocity: wp.vec3d  # [m/s] of the node, less the body's own there
     acceleration: wp.vec3d  # [m/s2] by the potential
+    normal: wp.vec3d  # of the others, times their part
     friction: wp.float64  # coefficients with the others, each times its part
 
 
 @wp.kernel
 def place_directors(first: int, field: Field):
-    """Normals and directors in world, and what these pull with; one particle of a body an item."""
+    """Normals and directors in world; one particle of a body an item."""
     at = first + wp.tid()
-    skin = field.skin
     q = field.placed.particle[at]
-    orientation = field.motion.orientation[skin.body[q]]
-    normal = skin.normal[q]
-    director = skin.director[q]
-    field.placed.normal[at] = wp.quat_rotate(orientation, normal)
-    field.placed.director[at] = wp.quat_rotate(orientation, director)
-    pull = skin.volume[q] * traction_of(director, normal, skin.stiffness)
-    field.placed.pull[at] = wp.quat_rotate(orientation, pull)
+    orientation = field.motion.orientation[field.skin.body[q]]
+    field.placed.normal[at] = wp.quat_rotate(orientation, field.skin.normal[q])
+    field.placed.director[at] = wp.quat_rotate(orientation, field.skin.director[q])
 
 
 @wp.kernel
 def gather_layers(first: int, field: Field):
-    """m_ib = sum_q w_iq m_q (17) and f_i = -sum_q V_q dpsi/dd (grad w_iq . d), of one body at one node an item.
-
-    A node's displacement u_i changes the director by u_i (grad w_iq . d), hence the force.
-    """
+    """m_ib = sum_q w_iq m_q (17), and normals, frictions and velocities likewise; a body at a node an item."""
     entry = first + wp.tid()
     layer = entry / BLOCK_NODES
     placed = field.placed
@@ -129,7 +124,7 @@ def gather_layers(first: int, field: Field):
     node = field.layers.block[layer] * BLOCK_NODES + entry % BLOCK_NODES
     mass = ZERO
     momentum = wp.vec3d()
-    force = wp.vec3d()
+    normal = wp.vec3d()
     friction = ZERO
     telling = ZERO
     for i in range(STENCIL):
@@ -142,18 +137,43 @@ def gather_layers(first: int, field: Field):
                         if placed.body[at] == body:
                             m = weight_of(grid.offset[at], i, j, k) * placed.mass[at]
                             mass += m
+                            normal += m * placed.normal[at]
                             if placed.friction[at] >= ZERO:
                                 friction += m * placed.friction[at]
                                 telling += m
                             if body < 0:
                                 momentum += m * placed.velocity[at]
-                            else:
-                                slope = wp.dot(gradient_of(grid.offset[at], i, j, k), placed.director[at])
-                                force -= slope / field.cell_size * placed.pull[at]
     field.layers.mass[entry] = mass
-    field.layers.force[entry] = force
+    field.layers.normal[entry] = normal
     field.layers.friction[entry] = wp.where(telling > ZERO, friction / telling, -ONE)
     field.layers.velocity[entry] = wp.where(mass > ZERO, momentum / mass, wp.vec3d())
+
+
+@wp.kernel
+def gather_forces(first: int, field: Field):
+    """f_i = -sum_q V_q dpsi/dd (grad w_iq . d) of one body at one node an item.
+
+    A node's displacement u_i changes a director by u_i (grad w_iq . d), hence the force.
+    """
+    entry = first + wp.tid()
+    layer = entry / BLOCK_NODES
+    placed = field.placed
+    grid = field.grid
+    body = field.layers.body[layer]
+    node = field.layers.block[layer] * BLOCK_NODES + entry % BLOCK_NODES
+    force = wp.vec3d()
+    if body >= 0 and field.layers.mass[entry] > ZERO:
+        for i in range(STENCIL):
+            for j in range(STENCIL):
+                for k in range(STENCIL):
+                    base = node_before(grid, node, i, j, k)
+                    if base >= 0:
+                        for n in range(grid.cell_first[base], grid.cell_first[base + 1]):
+                            at = grid.particles[n]
+                            if placed.body[at] == body and placed.seen[at] > ZERO:
+                                slope = wp.dot(gradient_of(grid.offset[at], i, j, k), placed.director[at])
+                                force -= slope / field.cell_size * placed.pull[at]
+    field.layers.force[entry] = force
 
 
 @wp.func
@@ -191,6 +211,8 @@ def view_of(field: Field, at: int, node: int, arm: wp.vec3d) -> View:
             if other != body:
                 view.part += mass
                 view.velocity += mass * (velocity - own)
+                weight = wp.where(other < 0, field.skin.density[body], ONE)
+                view.normal += weight * layers.normal[entry]
                 view.friction += mass * mean_friction(
                     field.placed.friction[at], layers.friction[entry], field.step[0].friction
                 )
@@ -199,8 +221,60 @@ def view_of(field: Field, at: int, node: int, arm: wp.vec3d) -> View:
     view.animated /= total
     view.velocity /= total
     view.friction /= total
+    view.normal /= total
     view.acceleration = force / total
     return view
+
+
+@wp.func
+def leant(x: wp.vec3d, normal: wp.vec3d, facing: wp.vec3d) -> wp.vec3d:
+    """x turned by the least turn that takes `normal` to `facing`, less than a right angle away."""
+    axis = wp.cross(normal, facing)
+    across = wp.cross(axis, x)
+    return x + across + wp.cross(axis, across) / (ONE + wp.dot(normal, facing))
+
+
+@wp.kernel
+def look(first: int, field: Field):
+    """What a particle of a body sees of others, which way, and what it pulls with; one particle an item.
+
+    A body that slides on another leans a little on the layer between. To what slides by, its own normals are then
+    inclined: the potential would let go of what the body slides up, and wear off; walls would stop at a floor that
+    passes below. So the surface of the others says what is normal, as (45) has it, and a particle counts by how much
+    it faces that.
+    """
+    at = first + wp.tid()
+    placed = field.placed
+    grid = field.grid
+    seen = ZERO
+    animated = ZERO
+    friction = ZERO
+    others = wp.vec3d()
+    for i in range(STENCIL):
+        for j in range(STENCIL):
+            for k in range(STENCIL):
+                weight = weight_of(grid.offset[at], i, j, k)
+                node = node_after(grid, grid.base[at], i, j, k)
+                view = view_of(field, at, node, field.cell_size * arm_of(grid.offset[at], i, j, k))
+                seen += weight * view.part
+                animated += weight * view.animated
+                friction += weight * view.friction
+                others += weight * view.normal
+    normal = placed.normal[at]
+    facing = wp.normalize(others)
+    if wp.dot(facing, normal) < ZERO:
+        facing = -facing
+    if seen > ZERO:
+        animated /= seen
+        friction /= seen
+        q = placed.particle[at]
+        traction = traction_of(placed.director[at], normal, field.skin.stiffness)
+        pulling = field.skin.volume[q] * wp.dot(facing, normal)
+        placed.pull[at] = pulling * leant(traction, normal, facing)
+    placed.facing[at] = facing
+    placed.seen[at] = seen
+    placed.animated[at] = animated
+    placed.met_friction[at] = friction
 
 
 @wp.kernel
@@ -214,35 +288,25 @@ def press(first: int, field: Field):
     at = first + wp.tid()
     placed = field.placed
     grid = field.grid
-    seen = ZERO
-    animated = ZERO
-    friction = ZERO
-    relative = wp.vec3d()
-    for i in range(STENCIL):
-        for j in range(STENCIL):
-            for k in range(STENCIL):
-                weight = weight_of(grid.offset[at], i, j, k)
-                node = node_after(grid, grid.base[at], i, j, k)
-                view = view_of(field, at, node, field.cell_size * arm_of(grid.offset[at], i, j, k))
-                seen += weight * view.part
-                animated += weight * view.animated
-                friction += weight * view.friction
-                relative += weight * (view.velocity + field.step[0].length * view.acceleration)
     impulse = wp.vec3d()
-    if seen > ZERO:
-        friction /= seen
-        normal = placed.normal[at]
+    if placed.seen[at] > ZERO:
+        relative = wp.vec3d()
+        for i in range(STENCIL):
+            for j in range(STENCIL):
+                for k in range(STENCIL):
+                    weight = weight_of(grid.offset[at], i, j, k)
+                    node = node_after(grid, grid.base[at], i, j, k)
+                    view = view_of(field, at, node, field.cell_size * arm_of(grid.offset[at], i, j, k))
+                    relative += weight * (view.velocity + field.step[0].length * view.acceleration)
+        normal = placed.facing[at]
         along = wp.dot(relative, normal)
         if along < ZERO:
             change = along * normal
             across = relative - along * normal
             size = wp.length(across)
             if size > ZERO:
-                change += wp.min(size, -friction * along) / size * across
-            impulse = placed.mass[at] * change
-    placed.seen[at] = seen
-    placed.animated[at] = animated
-    placed.met_friction[at] = friction
+                change += wp.min(size, -placed.met_friction[at] * along) / size * across
+            impulse = wp.dot(normal, placed.normal[at]) * placed.mass[at] * change
     placed.impulse[at] = impulse
 
 
@@ -311,7 +375,7 @@ def push_bodies(
     moment = wp.vec3d()
     for at in range(own_first[item], own_first[item + 1]):
         if placed_impulse(field, at):
-            by_animated = placed.animated[at] / placed.seen[at]
+            by_animated = placed.animated[at]
             given = (by_animated + SAYS * (ONE - by_animated)) * placed.impulse[at]
             impulse += given
             moment += wp.cross(placed.lever[at], given)
@@ -345,6 +409,7 @@ def carry_directors(first: int, field: Field):
                     view = view_of(field, at, node, field.cell_size * arm_of(grid.offset[at], i, j, k))
                     slope = wp.dot(gradient_of(grid.offset[at], i, j, k), placed.director[at])
                     rate += slope / field.cell_size * view.velocity
+        rate = leant(rate, placed.facing[at], placed.normal[at])
         director = placed.director[at] + field.step[0].length * rate
         q = placed.particle[at]
         orientation = field.motion.orientation[placed.body[at]]

@@ -77,11 +77,12 @@ class BodySkin:
 class AnimatedSkin(NamedTuple):
     """Particles on surfaces that the animation moves.
 
-    start, end: (n, 3) [m] at the ends of a substep.  area: (n,) [m2].  friction: (n,), negative where not told.
+    start, end: (n, 3) [m] at the ends of a substep.  normal: (n, 3), and area: (n,) [m2].  friction: (n,), negative where not told.
     """
 
     start: np.ndarray
     end: np.ndarray
+    normal: np.ndarray
     area: np.ndarray
     friction: np.ndarray
 
@@ -93,7 +94,7 @@ def animated_skin(
 
     start: the buffer of `colliders` that holds that.  cell_size: [m].
     """
-    found = [AnimatedSkin(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))]
+    found = [AnimatedSkin(*np.zeros((3, 0, 3)), *np.zeros((2, 0)))]
     for item in near:
         ends = []
         for buffer in (start, 1 - start):
@@ -102,8 +103,8 @@ def animated_skin(
         held = fill_boxes(ends[0], SIDE * cell_size, boxes)
         at = held.triangle
         places = [np.einsum("nk,nkd->nd", held.weight, corners[at]) for corners in ends]
-        area = held.share * faces(ends[0])[1][at]
-        found.append(AnimatedSkin(*places, area, np.full(len(at), _told(item))))
+        normal, area = faces(ends[0])
+        found.append(AnimatedSkin(*places, normal[at], held.share * area[at], np.full(len(at), _told(item))))
     return AnimatedSkin(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
 
 
