@@ -57,7 +57,7 @@ class Placed:
     facing: wp.array(dtype=wp.vec3d)  # unit, the way to what is seen
     pull: wp.array(dtype=wp.vec3d)  # [N m] V_q dpsi/dd
     impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] I_q
-    seen: wp.array(dtype=wp.float64)  # sum over nodes of w_iq times the part of the node's mass that others have
+    seen: wp.array(dtype=wp.float64)  # sum of w_iq times the part of a node's mass that others have; 0 facing none
     animated: wp.array(dtype=wp.float64)  # of that, the part of what is animated
     met_friction: wp.array(dtype=wp.float64)  # mean Coulomb coefficient with what is seen
 
@@ -261,20 +261,16 @@ def look(first: int, field: Field):
                 friction += weight * view.friction
                 others += weight * view.normal
     normal = placed.normal[at]
-    facing = wp.normalize(others)
-    if wp.dot(facing, normal) < ZERO:
-        facing = -facing
-    if seen > ZERO:
-        animated /= seen
-        friction /= seen
+    facing = -wp.normalize(others)
+    faces = wp.dot(facing, normal)
+    if seen > ZERO and faces > ZERO:
         q = placed.particle[at]
         traction = traction_of(placed.director[at], normal, field.skin.stiffness)
-        pulling = field.skin.volume[q] * wp.dot(facing, normal)
-        placed.pull[at] = pulling * leant(traction, normal, facing)
-    placed.facing[at] = facing
-    placed.seen[at] = seen
-    placed.animated[at] = animated
-    placed.met_friction[at] = friction
+        placed.pull[at] = field.skin.volume[q] * faces * leant(traction, normal, facing)
+        placed.animated[at] = animated / seen
+        placed.met_friction[at] = friction / seen
+        placed.facing[at] = facing
+        placed.seen[at] = seen
 
 
 @wp.kernel

@@ -104,6 +104,8 @@ def animated_skin(
         at = held.triangle
         places = [np.einsum("nk,nkd->nd", held.weight, corners[at]) for corners in ends]
         normal, area = faces(ends[0])
+        if not item.closed:
+            normal = _towards(normal, ends[0].mean(axis=1), boxes.mean(axis=1))
         found.append(AnimatedSkin(*places, normal[at], held.share * area[at], np.full(len(at), _told(item))))
     return AnimatedSkin(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
 
@@ -131,6 +133,12 @@ def _triangles(colliders: Colliders, item: Collider, points: np.ndarray) -> np.n
     """(n, 3, 3) [m]; points: of that surface alone."""
     triangles = colliders.triangles.numpy()[item.first_triangle :][: item.triangle_count]
     return np.asarray(points, dtype=np.float64)[triangles - item.first_point]
+
+
+def _towards(normal: np.ndarray, place: np.ndarray, centers: np.ndarray) -> np.ndarray:
+    """Normals (n, 3) of a surface without an inside at places (n, 3), turned to the nearest of the bodies."""
+    nearest = np.square(place[:, None] - centers).sum(axis=2).argmin(axis=1)
+    return np.where(np.einsum("ni,ni->n", centers[nearest] - place, normal)[:, None] < 0.0, -normal, normal)
 
 
 def _told(item: Collider) -> float:
