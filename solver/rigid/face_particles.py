@@ -1,4 +1,4 @@
-"""Collision particles inside triangles: in the middle of equal parts of each, so that each has one face's normal."""
+"""Collision particles inside triangles, in the middle of equal parts, so that each has one face's normal."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _lattice(n: int, first: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _range_in(corners: np.ndarray, n: int, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows of a triangle (3, 3) that hold what of it is in a box (2, 3): those of the box's corners."""
+    """Columns and rows of a triangle (3, 3) that hold what of it is in a box (2, 3): those of its corners."""
     picks = np.indices((2, 2, 2)).reshape(3, -1).T
     offset = box[picks, np.arange(3)] - corners[0]
     way = n * offset @ np.linalg.pinv(np.stack([corners[1] - corners[0], corners[2] - corners[0]]))

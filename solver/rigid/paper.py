@@ -3,17 +3,19 @@
 What is done otherwise than printed, and why:
 
 - A velocity changes by the sum of impulses over the body's mass, not the particle's; the inertia is the world's.
-- Particles on bodies see their own body's exact velocity at nodes, not one filtered by the grid: a node that is one
-  body's alone pushes nothing, so a lone body, however it spins, is left as it is.
+- Particles see their own body's exact velocity at nodes, not one filtered by the grid: a node that is one body's
+  alone pushes nothing, so a lone body, however it spins, is left as it is.
 - Both sides' particles say one half of the impulse between two bodies, which acts in one place: momenta stay.
+- What is normal is said by the surface that is met, see `look`.
 - Directors follow the bodies' velocities after the impulses, see `carry_directors`.
-- What is animated weighs as much for its area as what meets it, and does not give way: were it infinitely heavy, how
-  far it keeps others off would jump with where its surface lies between nodes.
+- What is animated weighs as much for its area as what meets it, and does not give way: were it infinitely heavy,
+  how far it keeps others off would jump with where its surface lies between nodes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -98,8 +100,8 @@ class PaperContact:
     reach: (body_count,) [m] from a centre of mass to what of the body is furthest, and the particles' range.
     unconverged: none, as nothing is iterated.
 
-    State array: rigid/director, (particle_count,) vec3d, d of F in the axes of rest space; the normal where nothing
-    presses.
+    State array: rigid/director, (particle_count,) vec3d, d of F in the axes of rest space; the normal where
+    nothing presses.
     """
 
     unconverged = 0
@@ -141,7 +143,7 @@ class PaperContact:
         cfl = 0.5 * self._model.settings.grid.cfl * self.cell_size
         count = max(1, int(np.ceil(max(substep.length / self._longest, substep.length * speed / cfl))))
         edges = [substep.start + substep.length * k / count for k in range(count)] + [substep.end]
-        return [Interval(*ends) for ends in zip(edges, edges[1:], strict=False)]
+        return [Interval(*ends) for ends in pairwise(edges)]
 
     def _look_around(self, substep: Interval) -> float:
         """Finds what may come near to what in a substep; the fastest of bodies and surfaces, at most [m/s]."""
@@ -196,8 +198,8 @@ class PaperContact:
     def _place(self, part: Interval) -> tuple[np.ndarray, list[tuple[int, int]], np.ndarray] | None:
         """Puts on the grid what may share nodes, or None.
 
-        Bodies (n,) that have particles there, the pairs of them that are near each other, and where the particles of
-        each begin, (n + 1,).
+        Bodies (n,) that have particles there, the pairs of them that are near each other, and where the particles
+        of each begin, (n + 1,).
         """
         animated, whole = self._animated, self._whole
         if not self._near and not len(animated.area):
@@ -281,7 +283,7 @@ class PaperContact:
     def _pair_up(
         self, bodies: np.ndarray, pairs: list[tuple[int, int]], own_first: np.ndarray
     ) -> tuple[wp.array, wp.array, wp.array]:
-        """Particles of other bodies that may push each of `bodies`: (n,) and the bodies pushed (n,); where they begin."""
+        """Particles that may push some of `bodies` (m,), the bodies that they push (m,), and where each's begin."""
         at = {int(b): np.arange(own_first[k], own_first[k + 1]) for k, b in enumerate(bodies)}
         pushing: list[list[np.ndarray]] = [[np.zeros(0, dtype=int)] for _ in bodies]
         place = {int(b): k for k, b in enumerate(bodies)}

@@ -1,8 +1,8 @@
 """Han 2019 §6 on the grid: what bodies weigh at nodes, the potential's forces there, impulses, directors.
 
-Each body's velocity is known anywhere, v_b(x) = v_b + w_b x (x - c_b), so no velocity is filtered: a node that body
-b's particles give the mass m_ib moves with sum_b m_ib v_b(x_i) / m_i. What a particle of body b sees of that is the
-difference from its own body, nothing where the node is its body's alone.
+Each body's velocity is known anywhere, v_b(x) = v_b + w_b x (x - c_b), so no velocity is filtered: a node that
+body b's particles give the mass m_ib moves with sum_b m_ib v_b(x_i) / m_i. What a particle of body b sees of that
+is the difference from its own body, nothing where the node is its body's alone.
 """
 
 from __future__ import annotations
@@ -12,95 +12,21 @@ import warp as wp
 from plait.solver.grid.transfer_kernels import (
     BLOCK_NODES,
     STENCIL,
-    Grid,
     arm_of,
     gradient_of,
     node_after,
     node_before,
     weight_of,
 )
-from plait.solver.rigid.motion_kernels import HALF, ONE, ZERO, Masses, Motion
+from plait.solver.rigid.motion_kernels import HALF, ONE, ZERO
 from plait.solver.rigid.paper_law import returned, traction_of
+from plait.solver.rigid.paper_types import Field, View
 from plait.solver.rigid.put_kernels import mean_friction
-from plait.solver.rigid.types import Start, Step
 
 wp.set_module_options({"enable_backward": False})
 
 # Of two bodies each says one half of the impulse between them.
 SAYS = HALF
-
-
-@wp.struct
-class Skin:
-    """Collision particles of bodies, constant but for the director; axes of rest space."""
-
-    body: wp.array(dtype=wp.int32)
-    normal: wp.array(dtype=wp.vec3d)  # unit, outward
-    volume: wp.array(dtype=wp.float64)  # [m3]
-    director: wp.array(dtype=wp.vec3d)
-    density: wp.array(dtype=wp.float64)  # (body_count,) [kg/m2] of its surface
-    stiffness: wp.float64  # [Pa] k^c
-
-
-@wp.struct
-class Placed:
-    """The particles on the grid: those of bodies first, a body's together, then those of what is animated."""
-
-    particle: wp.array(dtype=wp.int32)  # into `Skin`
-    body: wp.array(dtype=wp.int32)  # -1: moved by the animation
-    lever: wp.array(dtype=wp.vec3d)  # [m] from the centre of mass of its body, world
-    velocity: wp.array(dtype=wp.vec3d)  # [m/s] of what is animated
-    mass: wp.array(dtype=wp.float64)  # [kg]; of what is animated its area [m2]
-    friction: wp.array(dtype=wp.float64)  # negative: not told
-    normal: wp.array(dtype=wp.vec3d)  # unit, world
-    director: wp.array(dtype=wp.vec3d)  # world
-    facing: wp.array(dtype=wp.vec3d)  # unit, the way to what is seen
-    pull: wp.array(dtype=wp.vec3d)  # [N m] V_q dpsi/dd
-    impulse: wp.array(dtype=wp.vec3d)  # [kg m/s] I_q
-    seen: wp.array(dtype=wp.float64)  # sum of w_iq times the part of a node's mass that others have; 0 facing none
-    animated: wp.array(dtype=wp.float64)  # of that, the part of what is animated
-    met_friction: wp.array(dtype=wp.float64)  # mean Coulomb coefficient with what is seen
-
-
-@wp.struct
-class Layers:
-    """What each body has at the nodes of each block that its particles reach; entry layer * BLOCK_NODES + local."""
-
-    first: wp.array(dtype=wp.int32)  # (block_count + 1,)
-    body: wp.array(dtype=wp.int32)  # (layer_count,) -1: animated
-    block: wp.array(dtype=wp.int32)
-    mass: wp.array(dtype=wp.float64)  # [kg]; of what is animated area [m2]
-    velocity: wp.array(dtype=wp.vec3d)  # [m/s] of what is animated
-    normal: wp.array(dtype=wp.vec3d)  # sum of normals, each with the mass it counts for
-    force: wp.array(dtype=wp.vec3d)  # [N]
-    friction: wp.array(dtype=wp.float64)  # negative: not told
-
-
-@wp.struct
-class Field:
-    """The grid with all that is on it."""
-
-    grid: Grid
-    cell_size: wp.float64  # [m]
-    step: wp.array(dtype=Step)  # (1,)
-    motion: Motion
-    masses: Masses
-    start: Start
-    skin: Skin
-    placed: Placed
-    layers: Layers
-
-
-@wp.struct
-class View:
-    """A node as a body sees it."""
-
-    part: wp.float64  # of the mass that others have
-    animated: wp.float64  # of the mass that what is animated has
-    velocity: wp.vec3d  # [m/s] of the node, less the body's own there
-    acceleration: wp.vec3d  # [m/s2] by the potential
-    normal: wp.vec3d  # of the others, times their part
-    friction: wp.float64  # coefficients with the others, each times its part
 
 
 @wp.kernel
@@ -238,10 +164,10 @@ def leant(x: wp.vec3d, normal: wp.vec3d, facing: wp.vec3d) -> wp.vec3d:
 def look(first: int, field: Field):
     """What a particle of a body sees of others, which way, and what it pulls with; one particle an item.
 
-    A body that slides on another leans a little on the layer between. To what slides by, its own normals are then
-    inclined: the potential would let go of what the body slides up, and wear off; walls would stop at a floor that
-    passes below. So the surface of the others says what is normal, as (45) has it, and a particle counts by how much
-    it faces that.
+    A body that slides on another leans a little on the layer between. With its own normals, inclined to the way it
+    goes, the potential would wear off, and its walls would be stopped by a floor that passes below them. So the
+    surface of the others says what is normal, taken from the nodes as in (45), and a particle counts by how much it
+    faces that; one that does not face it has no part.
     """
     at = first + wp.tid()
     placed = field.placed
@@ -306,6 +232,11 @@ def press(first: int, field: Field):
     placed.impulse[at] = impulse
 
 
+@wp.func
+def pushed(field: Field, at: int) -> bool:
+    return wp.length_sq(field.placed.impulse[at]) > ZERO
+
+
 @wp.kernel
 def share_out(
     first: int,
@@ -321,7 +252,7 @@ def share_out(
     grid = field.grid
     layers = field.layers
     share = ZERO
-    if placed_impulse(field, at):
+    if pushed(field, at):
         own = field.placed.body[at]
         for i in range(STENCIL):
             for j in range(STENCIL):
@@ -340,11 +271,6 @@ def share_out(
                     share += weight_of(grid.offset[at], i, j, k) * of_body / total
         share /= field.placed.seen[at]
     share_out[pair] = share
-
-
-@wp.func
-def placed_impulse(field: Field, at: int) -> bool:
-    return wp.length_sq(field.placed.impulse[at]) > ZERO
 
 
 @wp.kernel
@@ -370,7 +296,7 @@ def push_bodies(
     impulse = wp.vec3d()
     moment = wp.vec3d()
     for at in range(own_first[item], own_first[item + 1]):
-        if placed_impulse(field, at):
+        if pushed(field, at):
             by_animated = placed.animated[at]
             given = (by_animated + SAYS * (ONE - by_animated)) * placed.impulse[at]
             impulse += given

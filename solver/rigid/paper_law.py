@@ -2,8 +2,8 @@
 
 F = d D^-1 has in its columns what has become of a triangle's two edges and of its unit normal. With D in the axes
 of the triangle, the third along its normal, and F = Q R with R upper triangular, Q's first two columns span the
-triangle and its third is the normal n. A rigid triangle's edges only turn, so the upper left of R stays one, and with
-d for the third column, the director,
+triangle and its third is the normal n. A rigid triangle's edges only turn, so the upper left of R stays one, and
+with d for the third column, the director,
 
     r_33 = d . n,  (r_13, r_23) = the part of d across n, in the triangle's axes.
 
@@ -29,9 +29,9 @@ def longest_step(surface_density: float, cell_size: float, stiffness: float) -> 
 
     A particle's director changes at the rate sum_i v_i (grad w_iq . d), and by Cauchy and Schwarz the square of
     that is at most sum_i w_iq v_i^2 times sum_i (grad w_iq . d)^2 / w_iq, the latter at most 6 |d|^2 / dx^2 for
-    quadratic B-splines. So with V_q = dx A_q, m_q = density A_q, and psi'' |d|^2 at most 8/27 k^c across the surface
-    and along it, the frequency squared is at most 6 V_q psi'' |d|^2 / (m_q dx^2) = 16/9 k^c / (density dx); bodies,
-    which weigh more than what of them the grid sees, are slower yet. Symplectic Euler is stable up to 2 over it.
+    quadratic B-splines. So with V_q = dx A_q, m_q = density A_q, and psi'' |d|^2 at most 8/27 k^c across the
+    surface and along it, the frequency squared is at most 6 V_q psi'' |d|^2 / (m_q dx^2) = 16/9 k^c / (density dx);
+    bodies weigh more than what of them the grid sees, and are slower yet. Symplectic Euler is stable up to 2 over it.
     """
     return 1.5 * (surface_density * cell_size / stiffness) ** 0.5
 

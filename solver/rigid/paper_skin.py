@@ -77,7 +77,8 @@ class BodySkin:
 class AnimatedSkin(NamedTuple):
     """Particles on surfaces that the animation moves.
 
-    start, end: (n, 3) [m] at the ends of a substep.  normal: (n, 3), and area: (n,) [m2].  friction: (n,), negative where not told.
+    start, end: (n, 3) [m] at the ends of a substep.  normal: (n, 3), and area: (n,) [m2], at its start.
+    friction: (n,), negative where not told.
     """
 
     start: np.ndarray
