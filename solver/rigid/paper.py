@@ -26,8 +26,6 @@ from plait.solver.grid.sparse_grid import SparseGrid
 from plait.solver.grid.transfer_kernels import BLOCK_NODES
 from plait.solver.model import Interval, Model
 from plait.solver.rigid.paper_kernels import (
-    Field,
-    Layers,
     carry_directors,
     gather_forces,
     gather_layers,
@@ -39,6 +37,7 @@ from plait.solver.rigid.paper_kernels import (
 )
 from plait.solver.rigid.paper_law import longest_step
 from plait.solver.rigid.paper_skin import AnimatedSkin, BodySkin, animated_skin
+from plait.solver.rigid.paper_types import Field, Layers
 from plait.solver.rigid.quaternions import rotation_matrix
 from plait.solver.rigid.stage import RigidStage
 from plait.solver.state import State
@@ -283,7 +282,7 @@ class PaperContact:
     def _pair_up(
         self, bodies: np.ndarray, pairs: list[tuple[int, int]], own_first: np.ndarray
     ) -> tuple[wp.array, wp.array, wp.array]:
-        """Particles that may push some of `bodies` (m,), the bodies that they push (m,), and where each's begin."""
+        """Particles that may push some of `bodies`, and which, (m,) each; where those of each body begin."""
         at = {int(b): np.arange(own_first[k], own_first[k + 1]) for k, b in enumerate(bodies)}
         pushing: list[list[np.ndarray]] = [[np.zeros(0, dtype=int)] for _ in bodies]
         place = {int(b): k for k, b in enumerate(bodies)}

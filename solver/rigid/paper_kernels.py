@@ -166,8 +166,8 @@ def look(first: int, field: Field):
 
     A body that slides on another leans a little on the layer between. With its own normals, inclined to the way it
     goes, the potential would wear off, and its walls would be stopped by a floor that passes below them. So the
-    surface of the others says what is normal, taken from the nodes as in (45), and a particle counts by how much it
-    faces that; one that does not face it has no part.
+    surface of the others says what is normal, taken from the nodes as in (45), and a particle counts by how much
+    it faces that; one that does not face it has no part.
     """
     at = first + wp.tid()
     placed = field.placed

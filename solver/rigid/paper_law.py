@@ -29,9 +29,9 @@ def longest_step(surface_density: float, cell_size: float, stiffness: float) -> 
 
     A particle's director changes at the rate sum_i v_i (grad w_iq . d), and by Cauchy and Schwarz the square of
     that is at most sum_i w_iq v_i^2 times sum_i (grad w_iq . d)^2 / w_iq, the latter at most 6 |d|^2 / dx^2 for
-    quadratic B-splines. So with V_q = dx A_q, m_q = density A_q, and psi'' |d|^2 at most 8/27 k^c across the
-    surface and along it, the frequency squared is at most 6 V_q psi'' |d|^2 / (m_q dx^2) = 16/9 k^c / (density dx);
-    bodies weigh more than what of them the grid sees, and are slower yet. Symplectic Euler is stable up to 2 over it.
+    quadratic B-splines. With V_q = dx A_q, m_q = density A_q, and psi'' |d|^2 at most 8/27 k^c across the surface
+    and along it, the frequency squared is at most 6 V_q psi'' |d|^2 / (m_q dx^2) = 16/9 k^c / (density dx). Bodies
+    weigh more than what of them the grid sees, and are slower yet. Symplectic Euler is stable up to 2 over it.
     """
     return 1.5 * (surface_density * cell_size / stiffness) ** 0.5
 

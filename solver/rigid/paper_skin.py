@@ -11,7 +11,7 @@ import warp as wp
 from plait.solver.kinematics.colliders import Collider, Colliders
 from plait.solver.model import Model
 from plait.solver.rigid.face_particles import fill, fill_boxes
-from plait.solver.rigid.paper_kernels import Skin
+from plait.solver.rigid.paper_types import Skin
 
 # Sides of triangles' parts, in cells: particles in the middle of parts then lie less than a cell apart.
 SIDE = 1.5
