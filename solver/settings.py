@@ -73,7 +73,8 @@ class RigidSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """[rigid]: the solve of rigid bodies.
 
     method: 'exact' (default) solves contacts and joints together, with Coulomb's exact cone; 'paper' is Han 2019, 6,
-        for comparison: contacts by a potential on the cells of `GridSettings`, without joints.
+        for comparison: contacts by a potential on the grid of `GridSettings`, whose cells are a tenth of the smallest
+        body's size where none is told; without joints, restitution and filtered pairs.
     stiffness: [Pa] of 'paper', k^c of (34): the pressure that would press the potential's layer flat.
     tolerance: a solve stops when it changes no speed by more than this part of the fastest body's, or of what
         gravity gives in a substep.
@@ -95,7 +96,7 @@ class RigidSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 class GridSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """[grid]: contact of elastic bodies through the grid.
 
-    cell_size: [m]; 0 takes the mean edge of the bodies' tets.
+    cell_size: [m]; 0 takes the mean edge of the bodies' tets, see `RigidSettings` for rigid ones.
     rule: 'pairwise' (default), or 'paper', Han 2019 (20)-(25) to the letter, for comparison.
     iterations: sweeps over the contacts in a pass.  passes: elastic solve and contact alternate so often.
     cfl: nothing near a contact moves further than this part of a cell in a substep.
