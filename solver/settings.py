@@ -72,8 +72,8 @@ class FleshSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 class RigidSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """[rigid]: the solve of rigid bodies.
 
-    method: 'exact' (default) solves contacts and joints together, with Coulomb's exact cone; 'paper' is Han 2019, 6,
-        for comparison: contacts by a potential on the grid of `GridSettings`, whose cells are a tenth of the smallest
+    method: 'exact' (default) solves contacts and joints together, with Coulomb's exact cone; 'paper' is Han 2019,
+        6, for comparison: contacts by a potential on the grid of `GridSettings`, its cells a tenth of the smallest
         body's size where none is told; without joints, restitution and filtered pairs.
     stiffness: [Pa] of 'paper', k^c of (34): the pressure that would press the potential's layer flat.
     tolerance: a solve stops when it changes no speed by more than this part of the fastest body's, or of what

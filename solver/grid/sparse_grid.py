@@ -21,7 +21,8 @@ class SparseGrid:
     What it holds and what it costs follow the particles, wherever in space they are.
 
     data: struct `Grid`.
-    node_count: of the active blocks, and particle_count: as placed.  mass: (node_count,) float64 [kg] and velocity: vec3d [m/s], by `to_grid`.
+    node_count: of the active blocks.  particle_count: as last placed.
+    mass: (node_count,) float64 [kg] and velocity: vec3d [m/s], by `to_grid`.
     """
 
     def __init__(self, cell_size: float, launcher: Launcher) -> None:

@@ -76,7 +76,7 @@ class PaperStage(RigidStage):
         scene = model.scene
         unknown = {
             "joints": bool(scene.joints),
-            "restitution": any(body.restitution > 0.0 for body in scene.rigid_bodies),
+            "restitution": any(scene.restitution(s) > 0.0 for s in scene.surfaces if s.body is None),
             "filtered pairs": bool(scene.filtered),
         }
         for what, there in unknown.items():

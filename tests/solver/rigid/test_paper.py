@@ -291,6 +291,8 @@ def test_what_the_variant_does_not_know_is_refused():
         run([box()], joints=(joint,))
     with pytest.raises(Refused, match="restitution"):
         run([box(restitution=0.5)])
+    with pytest.raises(Refused, match="restitution"):
+        run([box()], [floor(restitution=0.5)])
     with pytest.raises(Refused, match="filtered pairs"):
         run([box(), box()], filtered=((0, 1),))
 
