@@ -72,6 +72,10 @@ class FleshSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 class RigidSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """[rigid]: the solve of rigid bodies.
 
+    method: 'exact' (default) solves contacts and joints together, with Coulomb's exact cone; 'paper' is Han 2019,
+        6, for comparison: contacts by a potential on the grid of `GridSettings`, its cells a tenth of the smallest
+        body's size where none is told; without joints, restitution and filtered pairs.
+    stiffness: [Pa] of 'paper', k^c of (34): the pressure that would press the potential's layer flat.
     tolerance: a solve stops when it changes no speed by more than this part of the fastest body's, or of what
         gravity gives in a substep.
     iterations: sweeps over an island's contacts and joints, at most.  passes: how often what turning adds is found
@@ -80,6 +84,8 @@ class RigidSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     exit_speed: [m/s] what overlaps, or is drawn apart at a joint, is led back no faster than this.
     """
 
+    method: Literal["exact", "paper"] = "exact"
+    stiffness: Positive = 2e6
     tolerance: Positive = 1e-6
     iterations: Count = 200
     passes: Count = 10
@@ -90,7 +96,7 @@ class RigidSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 class GridSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """[grid]: contact of elastic bodies through the grid.
 
-    cell_size: [m]; 0 takes the mean edge of the bodies' tets.
+    cell_size: [m]; 0 takes the mean edge of the bodies' tets, see `RigidSettings` for rigid ones.
     rule: 'pairwise' (default), or 'paper', Han 2019 (20)-(25) to the letter, for comparison.
     iterations: sweeps over the contacts in a pass.  passes: elastic solve and contact alternate so often.
     cfl: nothing near a contact moves further than this part of a cell in a substep.

@@ -21,12 +21,13 @@ class SparseGrid:
     What it holds and what it costs follow the particles, wherever in space they are.
 
     data: struct `Grid`.
-    node_count: of the active blocks.  mass: (node_count,) float64 [kg] and velocity: vec3d [m/s], by `to_grid`.
+    node_count: of the active blocks.  particle_count: as last placed.
+    mass: (node_count,) float64 [kg] and velocity: vec3d [m/s], by `to_grid`.
     """
 
     def __init__(self, cell_size: float, launcher: Launcher) -> None:
         self.cell_size, self._launcher = cell_size, launcher
-        self.node_count = 0
+        self.node_count = self.particle_count = 0
 
     def place(self, position: np.ndarray) -> None:
         """Activates the blocks that the stencils of particles at (particle_count, 3) [m] reach."""
@@ -40,7 +41,7 @@ class SparseGrid:
         local = base - first * BLOCK
         node = slot * BLOCK_NODES + (local[:, 0] * BLOCK + local[:, 1]) * BLOCK + local[:, 2]
         self.node_count = len(blocks) * BLOCK_NODES
-        self._particle_count = len(position)
+        self.particle_count = len(position)
 
         def hold(values: np.ndarray, dtype: type) -> wp.array:
             return wp.array(values, dtype=dtype, device=self._launcher.device)
@@ -68,6 +69,14 @@ class SparseGrid:
         nodes = self._blocks[:, None] * BLOCK + np.indices((BLOCK,) * 3).reshape(3, -1).T
         return nodes.reshape(-1, 3) * self.cell_size
 
+    def reached_blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs of particles (n,) and slots (n,) of blocks that these particles' stencils reach."""
+        base, after = self.data.base.numpy(), self.data.after.numpy()
+        local = base[:, None] // [BLOCK * BLOCK, BLOCK, 1] % BLOCK
+        reaches = (CORNERS <= (local + 2)[:, None] // BLOCK).all(axis=2)
+        particle, corner = np.nonzero(reaches)
+        return particle, after[base[particle] // BLOCK_NODES, corner]
+
     def to_grid(self, mass: wp.array, velocity: wp.array) -> None:
         """Fills `mass` and `velocity` from the particles': (particle_count,) float64 [kg], vec3d [m/s]."""
         inputs = [self.data, mass, velocity]
@@ -84,7 +93,7 @@ class SparseGrid:
         """The grid's velocity at each particle, (particle_count,) vec3d [m/s]."""
         inputs = [self.data, self.velocity]
         launch = self._launcher.launch
-        launch(from_grid, self._particle_count, inputs, [velocity_out], work_per_item=PARTICLE_WORK)
+        launch(from_grid, self.particle_count, inputs, [velocity_out], work_per_item=PARTICLE_WORK)
 
 
 def _key(block: np.ndarray) -> np.ndarray:

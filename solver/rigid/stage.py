@@ -46,7 +46,14 @@ def build(model: Model, state: State) -> RigidStage | None:
 
     Raises `Refused` for bodies without mass, and for poses that are not rigid.
     """
-    return RigidStage(model, state) if model.scene.rigid_bodies else None
+    if not model.scene.rigid_bodies:
+        return None
+    if model.settings.rigid.method == "paper":
+        # Here, so that nothing of it is loaded otherwise.
+        from plait.solver.rigid.paper import PaperStage
+
+        return PaperStage(model, state)
+    return RigidStage(model, state)
 
 
 class RigidStage:
@@ -89,7 +96,7 @@ class RigidStage:
         self._work = self._lay_out_work()
         self._step = self._lay_out_step()
         self.joints = JointTable(model, state, [body.center_of_mass for body in self.bodies])
-        self.contact = RigidContact(model, state, self)
+        self.contact = self._lay_out_contact(state)
         self._points = self._hold_points()
         launch = self._launcher.prepare
         self._begin = launch(
@@ -138,6 +145,9 @@ class RigidStage:
         work.lack = wp.zeros(self._count, dtype=wp.float64, device=device)
         return work
 
+    def _lay_out_contact(self, state: State) -> RigidContact:
+        return RigidContact(self._model, state, self)
+
     def _lay_out_step(self) -> wp.array:
         step = Step()
         step.gravity = wp.vec3d(*self._model.scene.gravity)
@@ -162,11 +172,15 @@ class RigidStage:
         """Moves every body to the substep's end; it always stands."""
         for name in MOTION:
             wp.copy(getattr(self._before, name), getattr(self.motion, name))
-        held = self._step.numpy().copy()
-        held["length"] = substep.length
-        self._step.assign(held)
+        self._tell_length(substep.length)
         self._move(substep)
         return True
+
+    def _tell_length(self, length: float) -> None:
+        """Of the step to be taken [s]."""
+        held = self._step.numpy().copy()
+        held["length"] = length
+        self._step.assign(held)
 
     def redo(self, substep: Interval, impulses: np.ndarray, moments: np.ndarray) -> None:
         """Takes the substep last stepped again, with other impulses.
@@ -191,6 +205,10 @@ class RigidStage:
             self.motion.angular_impulse.zero_()
             return
         self.joints.begin_substep(substep)
+        self._go(substep)
+
+    def _go(self, substep: Interval) -> None:
+        """Bodies that are free to."""
         self._begin()
         self.contact.solve(substep)
         self._advance()
