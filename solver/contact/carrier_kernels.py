@@ -159,7 +159,7 @@ def settle(
         # No step is worth taking that rounding has most of.
         if wp.length(step) <= CONVERGED * (wp.length(way) + wp.length(carriers.aim[c]) + wp.length(step)):
             break
-        part = wp.float64(ONE)
+        part = wp.float64(1.0)
         slope = wp.dot(step, here.gradient)
         found = wp.int32(0)
         there = here

@@ -162,7 +162,8 @@ def strike(
     """1 where the nodes at x take an active point through a plane that held no force; one an item.
 
     Such a point leaves the surface as fast as it came, times the larger restitution (Newton's law of impact).
-    restitution: of the scene's surfaces.  approach: [m] of the point towards the surface in the substep, below which it does not count.
+    restitution: of the scene's surfaces.
+    approach: [m] of the point towards the surface in the substep, below which it does not count.
     """
     item = first + wp.tid()
     q = active[item]

@@ -15,6 +15,7 @@ from plait.solver.rigid.geoms import GeomTable
 from plait.solver.rigid.island_kernels import Islands, find_islands
 from plait.solver.rigid.order_kernels import order_geoms
 from plait.solver.rigid.overlap_kernels import Effort
+from plait.solver.rigid.passing_kernels import find_passed
 from plait.solver.rigid.row_kernels import Rows
 from plait.solver.rigid.solve_kernels import solve_islands
 from plait.solver.rigid.types import Animated, Boxes, Contacts, Finder, Kept
@@ -87,6 +88,10 @@ class RigidContact:
         self._planted = np.zeros(len(self.table.colliders), dtype=bool)
         self._runs: list[list[Callable[[], None]] | None] = [None, None]
         self._keep = self._launcher.prepare(keep_contacts, geoms, [self.table.geoms, self.contacts, self._kept])
+        self._passed = wp.zeros(self.table.carried_count, dtype=wp.int32, device=device)
+        self._pass = [self._prepare_to_pass(animated) for animated in self._animated]
+        self._thinnest = self._thinnest_of_bodies()
+        self._faced = np.zeros((2, 3))
         self._found = False
         self.unconverged = 0
 
@@ -102,6 +107,14 @@ class RigidContact:
             reach, body[held], (geoms.reach.numpy() + geoms.margin.numpy() + geoms.thickness.numpy())[held]
         )
         return reach
+
+    def _thinnest_of_bodies(self) -> np.ndarray:
+        """(body_count,) [m] half of the least size of what of a body is thinnest."""
+        thinnest = np.full(len(self._stage.bodies), np.inf)
+        count = self.table.carried_count
+        body, half = self.table.geoms.body.numpy()[:count], self.table.geoms.half.numpy()[:count]
+        np.minimum.at(thinnest, body, half.min(axis=1))
+        return thinnest
 
     def _lay_out_boxes(self, count: int) -> Boxes:
         boxes, device = Boxes(), self._launcher.device
@@ -139,6 +152,11 @@ class RigidContact:
             animated.points_start, animated.points_end = colliders.points[start], colliders.points[1 - start]
             animated.triangles = colliders.triangles
         return animated
+
+    def _prepare_to_pass(self, animated: Animated) -> Callable[[], None]:
+        ends = [self._stage.before, self._stage.motion]
+        inputs = [self.table.geoms, animated, *ends, self._passed]
+        return self._launcher.prepare(find_passed, len(self._passed), inputs, work_per_item=20)
 
     def _record(self, buffer: int) -> list[Callable[[], None]]:
         """The launches of a substep that starts in that buffer."""
@@ -191,6 +209,29 @@ class RigidContact:
         self._found = True
         self.unconverged += int((self._stage.parts[2].lack.numpy() > 1.0).sum())
 
+    def passed(self, substep: Interval) -> bool:
+        """Whether bodies, turned aside in this substep, may have gone through what was not in their way."""
+        before, after = self._stage.before, self._stage.motion
+        start, way = before.position.numpy(), after.position.numpy() - before.position.numpy()
+        aside = np.linalg.norm(way - substep.length * before.velocity.numpy(), axis=1)
+        if not self.table.colliders or (aside <= self._thinnest).all():
+            return False
+        box = self._box(start, np.abs(way))
+        if (box[0] < self._faced[0]).any() or (box[1] > self._faced[1]).any():
+            near = {collider.index for collider in self._kinematics.colliders_near(*box, substep)}
+            faced = zip(self.table.colliders, self._active, strict=True)
+            if near - {item.index for item, active in faced if active}:
+                return True
+        if not self._active.any():
+            return False
+        self._pass[self._kinematics.start]()
+        return bool(self._passed.numpy().any())
+
+    def _box(self, position: np.ndarray, way: np.ndarray) -> np.ndarray:
+        """(2, 3) [m] about bodies at (n, 3) [m] that go no further than (n, 3) [m]."""
+        room = self.reach[:, None] + way
+        return np.stack([(position - room).min(axis=0), (position + room).max(axis=0)])
+
     def retract(self) -> None:
         """As before `solve`."""
         self._found = False
@@ -217,8 +258,8 @@ class RigidContact:
             return
         stage = self._stage
         position, velocity = stage.position.numpy(), stage.velocity.numpy()
-        way = self.reach[:, None] + substep.length * np.abs(velocity)
-        near = self._kinematics.colliders_near((position - way).min(axis=0), (position + way).max(axis=0), substep)
+        self._faced = self._box(position, substep.length * np.abs(velocity))
+        near = self._kinematics.colliders_near(*self._faced, substep)
         held = {collider.index for collider in near}
         active = np.array([item.index in held for item in self.table.colliders])
         if (active & ~self._planted).any():

@@ -345,6 +345,29 @@ def loosen_joint(joints: Joints, j: int):
 
 
 @wp.func
+def take_joint_where_it_is(joints: Joints, motion: Motion, j: int, length: wp.float64):
+    """No impulses, and of the substep's end only what the animation moves and how far it is to a limit."""
+    pair = joints.body[j]
+    kind = joints.kind[j]
+    begun = pose_at_start(joints, motion, j)
+    x_a = body_position(motion, pair[0])
+    x_b = body_position(motion, pair[1])
+    q_a = body_orientation(motion.orientation, pair[0])
+    q_b = body_orientation(motion.orientation, pair[1])
+    carried = joint_pose(joints.place, joints.turn, j, x_a, q_a, x_b, q_b)
+    joints.impulse[j] = vec6d()
+    joints.limit_impulse[j] = wp.vec2d()
+    joints.bias[j] = (joint_error(kind, carried) - joint_error(kind, begun)) / length
+    if limited(joints, j):
+        state = limit_state(kind, carried)
+        joints.limit_axis[j] = state.axis
+        joints.limit_bias[j] = wp.vec2d(
+            wp.max(state.value - joints.lower[j], ZERO) / length,
+            wp.max(joints.upper[j] - state.value, ZERO) / length,
+        )
+
+
+@wp.func
 def note_joint(joints: Joints, j: int):
     """Before a sweep."""
     joints.held[j] = joints.impulse[j]

@@ -303,6 +303,10 @@ class PaperContact:
 
     # -- for the stage ---------------------------------------------------------------------------------------
 
+    def passed(self, substep: Interval) -> bool:
+        """Steps are too short for that."""
+        return False
+
     def retract(self) -> None:
         """As before the substep."""
         wp.copy(self.skin.data.director, self._before)

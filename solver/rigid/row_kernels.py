@@ -29,6 +29,8 @@ class Rows:
 class Work:
     """Of bodies in a substep."""
 
+    velocity: wp.array(dtype=wp.vec3d)  # [m/s] before contacts and joints
+    angular_momentum: wp.array(dtype=wp.vec3d)  # [kg m2/s] likewise
     spin: wp.array(dtype=wp.vec3d)  # [1/s] with the inertia of the start
     turned: wp.array(dtype=wp.quatd)  # the orientation at the end
     push: wp.array(dtype=wp.vec3d)  # [m] by which overlaps part
@@ -65,6 +67,18 @@ def relative_velocity(
         u += velocity[pair[0]] + wp.cross(spin[pair[0]], contacts.lever_a[c])
     if pair[1] >= 0:
         u -= velocity[pair[1]] + wp.cross(spin[pair[1]], contacts.lever_b[c])
+    return u
+
+
+@wp.func
+def carried_by(contacts: Contacts, c: int, length: wp.float64) -> wp.vec3d:
+    """[m/s] what the animation adds to that."""
+    pair = contacts.body[c]
+    u = wp.vec3d()
+    if pair[0] < 0:
+        u += contacts.core_a[c] / length
+    if pair[1] < 0:
+        u -= contacts.core_b[c] / length
     return u
 
 
@@ -112,11 +126,7 @@ def begin_contact(
     rows.response[c] = wp.vec4d(wp.dot(n, of_n), wp.dot(s, of_s), wp.dot(s, of_t), wp.dot(t, of_t))
     gap = contacts.gap[c]
     rows.least[c] = wp.min(-gap / step.length, ZERO)
-    carried = wp.vec3d()
-    if contacts.body[c][0] < 0:
-        carried += contacts.core_a[c] / step.length
-    if contacts.body[c][1] < 0:
-        carried -= contacts.core_b[c] / step.length
+    carried = carried_by(contacts, c, step.length)
     rows.struck[c] = wp.dot(n, relative_velocity(contacts, c, start.velocity, start.spin) + carried)
     impulse = axes * contacts.impulse[c]
     impulse = wp.vec3d(wp.max(impulse[0], ZERO), impulse[1], impulse[2])
@@ -151,7 +161,14 @@ def within(cone: wp.float64, x: wp.float64, y: wp.float64) -> wp.vec2d:
 
 @wp.func
 def solve_contact(
-    contacts: Contacts, rows: Rows, masses: Masses, motion: Motion, start: Start, work: Work, c: int
+    contacts: Contacts,
+    rows: Rows,
+    masses: Masses,
+    motion: Motion,
+    start: Start,
+    work: Work,
+    c: int,
+    friction: wp.float64,
 ) -> wp.float64:
     """One contact of a sweep; the largest change of a speed [m/s]."""
     axes = rows.axes[c]
@@ -166,7 +183,7 @@ def solve_contact(
     if change_n != ZERO:
         give(contacts, masses, motion, start, work, c, change_n * contacts.normal[c])
         u = axes * (relative_velocity(contacts, c, motion.velocity, work.spin) + rows.bias[c])
-    cone = contacts.friction[c] * normal
+    cone = friction * normal
     det = k[1] * k[3] - k[2] * k[2]
     x = held[1] - (k[3] * u[1] - k[2] * u[2]) / det
     y = held[2] - (k[1] * u[2] - k[2] * u[1]) / det

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from plait.solver.rigid.energy_kernels import gains_by_parting, hold_energy, note_motion, turns_far
 from plait.solver.rigid.island_kernels import Islands, begin_of
 from plait.solver.rigid.joint_kernels import (
     apply_rows,
@@ -24,7 +25,7 @@ from plait.solver.rigid.joint_kernels import (
 )
 from plait.solver.rigid.joint_pose_kernels import Joints, vec6d
 from plait.solver.rigid.motion_kernels import ZERO, Masses, Motion, rotation_by, turn_freely
-from plait.solver.rigid.overlap_kernels import Effort, part_overlaps
+from plait.solver.rigid.overlap_kernels import Effort, part_overlaps, put_back
 from plait.solver.rigid.row_kernels import (
     Rows,
     Work,
@@ -40,7 +41,6 @@ from plait.solver.rigid.types import Contacts, Geoms, Start, Step
 # Unrolled, the joints' loops over rows would be most of the code.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-FAR = wp.constant(wp.float64(0.5))  # [rad]
 # Impacts slower than what gravity gives in so many substeps do not rebound.
 SLOW = wp.constant(wp.float64(2.0))
 
@@ -80,7 +80,8 @@ def sweep_until(
             change = wp.max(change, solve_joint(joints, masses, motion, start, work.spin, islands.joint[i]))
         for i in range(contact_begin, contact_end):
             c = islands.contact[i]
-            change = wp.max(change, solve_contact(contacts, rows, masses, motion, start, work, c))
+            friction = contacts.friction[c]
+            change = wp.max(change, solve_contact(contacts, rows, masses, motion, start, work, c, friction))
         work.sweeps[r] = work.sweeps[r] + 1
         if change <= bound or sweep == sweeps - 1:
             break
@@ -108,19 +109,6 @@ def sweep_until(
                 give(contacts, masses, motion, start, work, c, wp.transpose(rows.axes[c]) * ahead)
         before = now
     return change
-
-
-@wp.func
-def turns_far(islands: Islands, work: Work, begin: int, end: int, length: wp.float64) -> bool:
-    """Whether a body would turn far in the substep.
-
-    What turning adds must then not be found before contacts and joints have held it, to first order: where a
-    whole turn leads back to, there would be nothing to hold.
-    """
-    fastest = wp.float64(ZERO)
-    for i in range(begin, end):
-        fastest = wp.max(fastest, wp.length(work.spin[islands.body[i]]))
-    return length * fastest > FAR
 
 
 @wp.kernel
@@ -169,6 +157,7 @@ def solve_islands(
         work.spin[b] = start.inertia_inverse[b] * motion.angular_momentum[b]
         fastest = wp.max(fastest, wp.length(motion.velocity[b]))
     bound = effort.tolerance * fastest
+    note_motion(islands, motion, work, r)
     for i in range(joint_begin, joint_end):
         j = islands.joint[i]
         begin_joint(joints, masses, motion, start, j, length, exit_distance)
@@ -176,7 +165,9 @@ def solve_islands(
         joints.limit_impulse[j] = wp.vec2d()
     for i in range(contact_begin, contact_end):
         begin_contact(contacts, rows, masses, motion, start, work, islands.contact[i], step)
-    if turns_far(islands, work, body_begin, body_end, length):
+    # What turns far is held to first order before what turning adds is found: where a whole turn leads back to,
+    # there would be nothing to hold.
+    if turns_far(islands, work, r, length):
         for i in range(joint_begin, joint_end):
             loosen_joint(joints, islands.joint[i])
         work.lack[r] = sweep_until(
@@ -212,7 +203,24 @@ def solve_islands(
         work.lack[r] = sweep_until(
             islands, contacts, rows, joints, masses, motion, start, work, r, bound, effort.sweeps
         )
-    part_overlaps(islands, contacts, rows, geoms, masses, start, motion, work, r, step, effort)
+    hold_energy(
+        islands,
+        contacts,
+        rows,
+        joints,
+        masses,
+        motion,
+        start,
+        work,
+        r,
+        length,
+        effort.tolerance,
+        bound,
+        effort.sweeps,
+    )
+    if part_overlaps(islands, contacts, rows, geoms, masses, start, motion, work, r, step, effort):
+        if gains_by_parting(islands, contacts, rows, masses, motion, start, work, r, length, effort.tolerance):
+            put_back(islands, contacts, rows, motion, work, r)
     for i in range(contact_begin, contact_end):
         c = islands.contact[i]
         contacts.impulse[c] = wp.transpose(rows.axes[c]) * rows.impulse[c]

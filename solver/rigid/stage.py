@@ -65,7 +65,8 @@ class RigidStage:
     angular_momentum: (body_count,) vec3d [kg m2/s] about the centre of mass, world.
     impulse: (body_count,) vec3d [kg m/s], and angular_impulse: (body_count,) vec3d [kg m2/s] about the centre of
         mass, that others add to; the next substep takes them up.
-    held: whether the substep last stepped was before the bodies' release.
+    before: where they were when the substep last stepped began.
+    held: whether that was before the bodies' release.
 
     State arrays: rigid/ and those names; rigid/still_position, still_orientation, still_time and asleep, see
     `Motion`; rigid/contact_count, contact_geom, contact_feature, contact_normal and
@@ -78,8 +79,8 @@ class RigidStage:
         self._model, self._launcher = model, model.launcher
         self.bodies, device = model.scene.rigid_bodies, model.launcher.device
         self._count = len(self.bodies)
-        self.motion, self._before = Motion(), Motion()
-        for motion in (self.motion, self._before):
+        self.motion, self.before = Motion(), Motion()
+        for motion in (self.motion, self.before):
             for name, dtype in MOTION.items():
                 setattr(motion, name, wp.zeros(self._count, dtype=dtype, device=device))
         self.held = model.start_time < model.scene.rigid_start
@@ -138,7 +139,7 @@ class RigidStage:
 
     def _lay_out_work(self) -> Work:
         work, device = Work(), self._launcher.device
-        for name in ("spin", "push", "push_turn"):
+        for name in ("velocity", "angular_momentum", "spin", "push", "push_turn"):
             setattr(work, name, wp.zeros(self._count, dtype=wp.vec3d, device=device))
         work.turned = wp.zeros(self._count, dtype=wp.quatd, device=device)
         work.sweeps = wp.zeros(self._count, dtype=wp.int32, device=device)
@@ -169,12 +170,15 @@ class RigidStage:
         self.contact.begin_frame()
 
     def step(self, state: State, substep: Interval, last_resort: bool = False) -> bool:
-        """Moves every body to the substep's end; it always stands."""
+        """Moves every body to the substep's end.
+
+        False where it must be shorter, as what hit a body may have taken it through what was not in its way.
+        """
         for name in MOTION:
-            wp.copy(getattr(self._before, name), getattr(self.motion, name))
+            wp.copy(getattr(self.before, name), getattr(self.motion, name))
         self._tell_length(substep.length)
         self._move(substep)
-        return True
+        return last_resort or self.held or not self.contact.passed(substep)
 
     def _tell_length(self, length: float) -> None:
         """Of the step to be taken [s]."""
@@ -188,7 +192,7 @@ class RigidStage:
         impulses, moments: (body_count, 3) [kg m/s], [kg m2/s] about where the centres of mass were, beside those
         that the bodies had to take up.
         """
-        state, before = self.motion, self._before
+        state, before = self.motion, self.before
         for name in MOTION:
             wp.copy(getattr(state, name), getattr(before, name))
         state.impulse.assign(before.impulse.numpy() + impulses)
@@ -215,7 +219,7 @@ class RigidStage:
 
     def retract(self, state: State, substep: Interval) -> None:
         for name in MOTION:
-            wp.copy(getattr(self.motion, name), getattr(self._before, name))
+            wp.copy(getattr(self.motion, name), getattr(self.before, name))
         self.joints.retract()
         self.contact.retract()
 
@@ -227,14 +231,14 @@ class RigidStage:
         at_end: of the substep last stepped; or at its start.
         """
         body = self._model.scene.surfaces[surface].rigid
-        motion = self.motion if at_end else self._before
+        motion = self.motion if at_end else self.before
         inputs = [self._points[surface], motion.position, motion.orientation, body]
         self._launcher.launch(place_points, len(points), inputs, [points, query_points])
 
     def bounds(self, body: int) -> np.ndarray:
         """(2, 3) [m] a box that holds a body in the substep last stepped."""
         reach = self.contact.reach[body]
-        ends = [motion.position.numpy()[body] for motion in (self._before, self.motion)]
+        ends = [motion.position.numpy()[body] for motion in (self.before, self.motion)]
         return np.stack([np.minimum(*ends) - reach, np.maximum(*ends) + reach])
 
     def speeds(self) -> np.ndarray:
@@ -247,7 +251,7 @@ class RigidStage:
     @property
     def start_position(self) -> np.ndarray:
         """(body_count, 3) [m] the centres of mass where the substep last stepped began."""
-        return self._before.position.numpy()
+        return self.before.position.numpy()
 
     def push(self, bodies: np.ndarray, places: np.ndarray, impulses: np.ndarray) -> None:
         """Adds impulses of others, (n, 3) [kg m/s] at places (n, 3) [m], world; `bodies` (n,) take them up."""
