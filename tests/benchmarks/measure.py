@@ -219,7 +219,8 @@ def main() -> None:
     held = {path.stem: json.loads(path.read_text()) for path in sorted(RESULTS.glob("*.json"))}
     parts = ["\n".join(table(held)) for name, table in TABLES.items() if name in held]
     first, dates = held[names[0]], sorted({found["date"][:10] for found in held.values()})
-    made = f"Measured on {first['cores']} cores of {first['processor']}, {' to '.join(dates[:: len(dates) - 1 or 1])}."
+    when = dates[0] if len(dates) == 1 else f"{dates[0]} to {dates[-1]}"
+    made = f"Measured on {first['cores']} cores of {first['processor']}, {when}."
     (RESULTS / "tables.md").write_text("\n\n".join([made, *parts]) + "\n")
     print((RESULTS / "tables.md").read_text())
 
