@@ -118,8 +118,8 @@ class PaperContact:
         masses, start, _, step = stage.parts
         self._field.cell_size, self._field.step, self._field.motion = self.cell_size, step, stage.motion
         self._field.masses, self._field.start, self._field.skin = masses, start, self.skin.data
-        density = self.skin.density
-        lightest = float(density[density > 0.0].min(initial=np.inf))
+        self._has_skin = self.skin.radius > 0.0
+        lightest = float(self.skin.density[self._has_skin].min(initial=np.inf))
         self._longest = SAFETY * longest_step(lightest, self.cell_size, model.settings.rigid.stiffness)
         state.arrays["rigid/director"] = self.skin.data.director
         self._before = wp.clone(self.skin.data.director)
@@ -136,6 +136,8 @@ class PaperContact:
     def parts(self, substep: Interval) -> list[Interval]:
         """The steps of a substep: within the potential's limit and CFL, where bodies are near something."""
         wp.copy(self._before, self.skin.data.director)
+        if not self._has_skin.any():
+            return [substep]
         speed = self._look_around(substep)
         if not self._near and not len(self._animated.area):
             return [substep]
@@ -148,11 +150,10 @@ class PaperContact:
         """Finds what may come near to what in a substep; the fastest of bodies and surfaces, at most [m/s]."""
         stage, length = self._stage, substep.length
         position, speeds = stage.position.numpy(), stage.speeds()
-        self._near, self._whole = [], substep
         gravity = float(np.linalg.norm(self._model.scene.gravity))
         pace = np.linalg.norm(speeds[:, :3], axis=1) + length * gravity
         reach = self.skin.radius + length * pace + 0.5 * SHARING * self.cell_size
-        has_skin = self.skin.radius > 0.0
+        has_skin = self._has_skin
         apart = np.linalg.norm(position[:, None] - position, axis=2)
         near = (apart < reach[:, None] + reach) & has_skin & has_skin[:, None]
         self._near = [(int(a), int(b)) for a, b in np.argwhere(near) if a < b]
@@ -160,6 +161,7 @@ class PaperContact:
         boxes = np.stack([position[has_skin] - reach, position[has_skin] + reach], axis=1)
         surfaces = self._kinematics.colliders_near(boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0), substep)
         colliders, start = self._kinematics.colliders, self._kinematics.start
+        self._whole = substep
         self._animated = animated_skin(colliders, surfaces, start, boxes, self.cell_size)
         turning = np.linalg.norm(speeds[:, 3:], axis=1) * self.skin.radius
         ways = np.linalg.norm(self._animated.end - self._animated.start, axis=1)
@@ -201,7 +203,7 @@ class PaperContact:
         of each begin, (n + 1,).
         """
         animated, whole = self._animated, self._whole
-        if not self._near and not len(animated.area):
+        if not self._near and (animated is None or not len(animated.area)):
             return None
         moved = (part.start - whole.start) / whole.length
         around = (1.0 - moved) * animated.start + moved * animated.end
@@ -246,7 +248,7 @@ class PaperContact:
         """Of bodies that are near something the particles, (n, 3) [m] from their centres of mass, and in world."""
         position, orientation = self._stage.position.numpy(), self._stage.orientation.numpy()
         if len(self._animated.area):
-            bodies = np.flatnonzero(self.skin.radius)
+            bodies = np.flatnonzero(self._has_skin)
         else:
             bodies = np.unique(self._near)
         levers = {int(b): self.skin.levers(int(b), rotation_matrix(orientation[b])) for b in bodies}

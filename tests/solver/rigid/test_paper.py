@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,12 @@ import numpy as np
 import pytest
 
 from plait.pipeline.benchmarks.scenes import FormulaMotion
+from plait.solver.build import build
 from plait.solver.diagnostics import Refused
 from plait.solver.model import Interval
 from plait.solver.rigid.paper_law import SHEAR
 from plait.solver.scene import Joint
-from plait.solver.settings import RigidSettings
+from plait.solver.settings import GridSettings, RigidSettings, Settings
 
 from ..contact.soft_scenes import floor, turn_z
 from ..tets.lattices import box_body, placed
@@ -191,6 +193,17 @@ def test_a_box_dropped_on_a_floor_stays_on_it():
     assert scene.rotation[0, 1, 1] > np.cos(0.01)
 
 
+def test_surfaces_just_between_nodes():
+    """The bottom of a box half-way between nodes, to the bit, where a weight is 0: the floor slows it."""
+    cell = 1.0 / 64.0
+    scene = run([box((0.25, 0.25, 0.25), (0.0, 0.125 + 0.5 * cell, 0.0), velocity=[0.0, -1.0, 0.0])], [floor()])
+    grid = GridSettings(cell_size=cell)
+    simulation = build(scene.scene, Settings(threads=1, rigid=RigidSettings(method="paper"), grid=grid))
+    simulation.advance_frame(1e-3, 1)
+    velocity = simulation.model.parts["rigid"].velocity.numpy()[0]
+    assert -0.999 < velocity[1] < 0.0 and np.abs(velocity[[0, 2]]).max() < 0.1
+
+
 def incline(angle: float, friction: float) -> np.ndarray:
     """A box laid down above an incline; its way down the slope [m] at the end of frames."""
     rotation = turn_z(angle)
@@ -291,6 +304,15 @@ def test_flesh_meets_the_bodies_as_by_the_default():
     assert both.velocity[0, 0] > 0.2
     assert np.abs(after[0] - linear).max() < 1e-12 * np.abs(linear).max()
     assert np.abs(after[1] - angular).max() < 1e-12 * np.abs(linear).max()
+
+
+def test_what_has_no_skin_falls():
+    """Nothing collides: a body without a skin, above a floor and below it."""
+    prop = box(centre=(0.0, 0.15, 0.0))
+    prop.surface = replace(prop.surface, collides=False)
+    scene = run([prop], [floor()])
+    scene.run(0.5)
+    assert scene.velocity[0] == pytest.approx([0.0, -GRAVITY * 0.5, 0.0], rel=1e-12)
 
 
 def test_far_from_everything_a_substep_is_one_step_of_two_launches():
