@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 from plait.pipeline.benchmarks.scenes import FormulaMotion
-from plait.solver.build import build
 from plait.solver.diagnostics import Refused
 from plait.solver.model import Interval
 from plait.solver.rigid.paper_law import SHEAR
 from plait.solver.scene import Joint
-from plait.solver.settings import GridSettings, RigidSettings, Settings
+from plait.solver.settings import RigidSettings
 
 from ..contact.soft_scenes import floor, turn_z
 from ..tets.lattices import box_body, placed
@@ -191,17 +190,6 @@ def test_a_box_dropped_on_a_floor_stays_on_it():
     assert 0.0 < scene.position[0, 1] - 0.5 * SIZE < RANGE * CELL
     assert np.abs(scene.velocity).max() < 0.01
     assert scene.rotation[0, 1, 1] > np.cos(0.01)
-
-
-def test_surfaces_just_between_nodes():
-    """The bottom of a box half-way between nodes, to the bit, where a weight is 0: the floor slows it."""
-    cell = 1.0 / 64.0
-    scene = run([box((0.25, 0.25, 0.25), (0.0, 0.125 + 0.5 * cell, 0.0), velocity=[0.0, -1.0, 0.0])], [floor()])
-    grid = GridSettings(cell_size=cell)
-    simulation = build(scene.scene, Settings(threads=1, rigid=RigidSettings(method="paper"), grid=grid))
-    simulation.advance_frame(1e-3, 1)
-    velocity = simulation.model.parts["rigid"].velocity.numpy()[0]
-    assert -0.999 < velocity[1] < 0.0 and np.abs(velocity[[0, 2]]).max() < 0.1
 
 
 def incline(angle: float, friction: float) -> np.ndarray:
