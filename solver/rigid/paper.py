@@ -42,8 +42,8 @@ from plait.solver.rigid.quaternions import rotation_matrix
 from plait.solver.rigid.stage import RigidStage
 from plait.solver.state import State
 
-# Cells between two particles that share nodes, and between those and particles that their nodes get mass of.
-SHARING, NEEDED = 3.0, 6.0
+# Cells within which, along each axis, two particles share nodes.
+SHARING = 3.0
 # Part of the longest stable step that is taken.
 SAFETY = 0.7
 FOUND = {
@@ -118,8 +118,8 @@ class PaperContact:
         masses, start, _, step = stage.parts
         self._field.cell_size, self._field.step, self._field.motion = self.cell_size, step, stage.motion
         self._field.masses, self._field.start, self._field.skin = masses, start, self.skin.data
-        density = self.skin.density
-        lightest = float(density[density > 0.0].min(initial=np.inf))
+        self._has_skin = self.skin.radius > 0.0
+        lightest = float(self.skin.density[self._has_skin].min(initial=np.inf))
         self._longest = SAFETY * longest_step(lightest, self.cell_size, model.settings.rigid.stiffness)
         state.arrays["rigid/director"] = self.skin.data.director
         self._before = wp.clone(self.skin.data.director)
@@ -136,6 +136,8 @@ class PaperContact:
     def parts(self, substep: Interval) -> list[Interval]:
         """The steps of a substep: within the potential's limit and CFL, where bodies are near something."""
         wp.copy(self._before, self.skin.data.director)
+        if not self._has_skin.any():
+            return [substep]
         speed = self._look_around(substep)
         if not self._near and not len(self._animated.area):
             return [substep]
@@ -148,18 +150,18 @@ class PaperContact:
         """Finds what may come near to what in a substep; the fastest of bodies and surfaces, at most [m/s]."""
         stage, length = self._stage, substep.length
         position, speeds = stage.position.numpy(), stage.speeds()
-        self._near, self._whole = [], substep
         gravity = float(np.linalg.norm(self._model.scene.gravity))
         pace = np.linalg.norm(speeds[:, :3], axis=1) + length * gravity
         reach = self.skin.radius + length * pace + 0.5 * SHARING * self.cell_size
-        has_skin = self.skin.radius > 0.0
+        has_skin = self._has_skin
         apart = np.linalg.norm(position[:, None] - position, axis=2)
         near = (apart < reach[:, None] + reach) & has_skin & has_skin[:, None]
         self._near = [(int(a), int(b)) for a, b in np.argwhere(near) if a < b]
-        reach = (reach + NEEDED * self.cell_size)[has_skin, None]
+        reach = (reach + 0.5 * SHARING * self.cell_size)[has_skin, None]
         boxes = np.stack([position[has_skin] - reach, position[has_skin] + reach], axis=1)
         surfaces = self._kinematics.colliders_near(boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0), substep)
         colliders, start = self._kinematics.colliders, self._kinematics.start
+        self._whole = substep
         self._animated = animated_skin(colliders, surfaces, start, boxes, self.cell_size)
         turning = np.linalg.norm(speeds[:, 3:], axis=1) * self.skin.radius
         ways = np.linalg.norm(self._animated.end - self._animated.start, axis=1)
@@ -201,25 +203,18 @@ class PaperContact:
         of each begin, (n + 1,).
         """
         animated, whole = self._animated, self._whole
-        if not self._near and not len(animated.area):
+        if not self._near and (animated is None or not len(animated.area)):
             return None
         moved = (part.start - whole.start) / whole.length
         around = (1.0 - moved) * animated.start + moved * animated.end
         levers, world = self._bodies_in_world()
         chosen = {b: np.zeros(len(x), dtype=bool) for b, x in world.items()}
-        boxes = {b: np.stack([x.min(axis=0), x.max(axis=0)]) for b, x in world.items()}
-        pairs = [(a, b) for a, b in self._near if _gap(boxes[a], boxes[b]) < SHARING * self.cell_size]
-        for pair in pairs:
-            for a, b in (pair, pair[::-1]):
-                chosen[a] |= _within(world[a], boxes[b], NEEDED * self.cell_size)
+        pairs = [pair for pair in self._near if self._choose_of_pair(*pair, world, chosen)]
         met = np.zeros(len(around), dtype=bool)
         for b, x in world.items():
-            near = _within(around, boxes[b], NEEDED * self.cell_size)
-            if not _within(around[near], boxes[b], SHARING * self.cell_size).any():
-                continue
-            box = np.stack([around[near].min(axis=0), around[near].max(axis=0)])
-            chosen[b] |= _within(x, box, NEEDED * self.cell_size)
-            met |= near
+            touching = self._shared(x, around[self._shared(around, x)])
+            chosen[b] |= self._shared(x, x[touching])
+            met |= self._shared(around, x[touching])
         chosen = {b: np.flatnonzero(picked) for b, picked in chosen.items() if picked.any()}
         if not chosen:
             return None
@@ -232,11 +227,28 @@ class PaperContact:
         self._lay_out(particles, levers, met)
         return bodies, pairs, first
 
+    def _choose_of_pair(self, a: int, b: int, world: dict[int, np.ndarray], chosen: dict[int, np.ndarray]) -> bool:
+        """Adds the particles of two bodies that may see each other, and those that weigh at the nodes seen."""
+        seeing = {c: self._shared(world[c], world[d]) for c, d in ((a, b), (b, a))}
+        if not (seeing[a].any() and seeing[b].any()):
+            return False
+        for c in (a, b):
+            for d in (a, b):
+                chosen[c] |= self._shared(world[c], world[d][seeing[d]])
+        return True
+
+    def _shared(self, x: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """(n,) whether particles at (n, 3) may share nodes with some at (m, 3), by the box about these."""
+        if not len(others):
+            return np.zeros(len(x), dtype=bool)
+        margin = SHARING * self.cell_size
+        return ((x >= others.min(axis=0) - margin) & (x <= others.max(axis=0) + margin)).all(axis=1)
+
     def _bodies_in_world(self) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray]]:
         """Of bodies that are near something the particles, (n, 3) [m] from their centres of mass, and in world."""
         position, orientation = self._stage.position.numpy(), self._stage.orientation.numpy()
         if len(self._animated.area):
-            bodies = np.flatnonzero(self.skin.radius)
+            bodies = np.flatnonzero(self._has_skin)
         else:
             bodies = np.unique(self._near)
         levers = {int(b): self.skin.levers(int(b), rotation_matrix(orientation[b])) for b in bodies}
@@ -319,13 +331,3 @@ class PaperContact:
         """How many particles saw another body in the last step."""
         seen = 0 if self._touching is None else int((self._touching.numpy() > 0.0).sum())
         return {"contacts": seen}
-
-
-def _gap(a: np.ndarray, b: np.ndarray) -> float:
-    """[m] between two boxes (2, 3), the most along an axis, as grids see it; negative where they overlap."""
-    return float(np.maximum(a[0] - b[1], b[0] - a[1]).max())
-
-
-def _within(x: np.ndarray, box: np.ndarray, margin: float) -> np.ndarray:
-    """(n,) whether places (n, 3) lie in a box (2, 3) that is larger by a margin [m] on all sides."""
-    return ((x >= box[0] - margin) & (x <= box[1] + margin)).all(axis=1)

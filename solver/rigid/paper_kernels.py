@@ -143,12 +143,14 @@ def view_of(field: Field, at: int, node: int, arm: wp.vec3d) -> View:
                     field.placed.friction[at], layers.friction[entry], field.step[0].friction
                 )
             total += mass
-    view.part /= total
-    view.animated /= total
-    view.velocity /= total
-    view.friction /= total
-    view.normal /= total
-    view.acceleration = force / total
+    # At the very rim of a stencil a particle's weight is 0, and there may be nothing else.
+    if total > ZERO:
+        view.part /= total
+        view.animated /= total
+        view.velocity /= total
+        view.friction /= total
+        view.normal /= total
+        view.acceleration = force / total
     return view
 
 
@@ -243,7 +245,7 @@ def share_out(
     field: Field,
     pair_particle: wp.array(dtype=wp.int32),
     pair_body: wp.array(dtype=wp.int32),
-    share_out: wp.array(dtype=wp.float64),
+    part_out: wp.array(dtype=wp.float64),
 ):
     """Of what a particle sees, the part that one other body has; one pair of them an item."""
     pair = first + wp.tid()
@@ -268,9 +270,10 @@ def share_out(
                         if layers.body[layer] == body:
                             of_body = mass
                         total += mass
-                    share += weight_of(grid.offset[at], i, j, k) * of_body / total
+                    if of_body > ZERO:
+                        share += weight_of(grid.offset[at], i, j, k) * of_body / total
         share /= field.placed.seen[at]
-    share_out[pair] = share
+    part_out[pair] = share
 
 
 @wp.kernel
@@ -317,7 +320,7 @@ def carry_directors(first: int, field: Field):
 
     The nodes go as the bodies now do: of the velocities that the forces gave them, bodies take over as little as
     their skins weigh beside them, and directors that follow those would let go of any load.
-    The own body's motion turns the director with it. One that sees no other body is at rest, see `Skin`.
+    The own body's motion turns the director with it.
     """
     at = first + wp.tid()
     placed = field.placed

@@ -112,9 +112,12 @@ def animated_skin(
 
 
 def cell_size_for(area: np.ndarray) -> float:
-    """[m] a tenth of a cube's side, the cube with as much skin as the smallest body; area: (body_count,) [m2]."""
-    smallest = float(area[area > 0.0].min(initial=np.inf))
-    return float(np.sqrt(smallest / 6.0)) / CELLS_A_SIDE
+    """[m] a tenth of a cube's side, the cube with as much skin as the smallest body; any where none has a skin.
+
+    area: (body_count,) [m2].
+    """
+    skins = area[area > 0.0]
+    return float(np.sqrt(skins.min() / 6.0)) / CELLS_A_SIDE if len(skins) else 1.0
 
 
 def faces(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ class Skin:
     body: wp.array(dtype=wp.int32)
     normal: wp.array(dtype=wp.vec3d)  # unit, outward
     volume: wp.array(dtype=wp.float64)  # [m3]
-    director: wp.array(dtype=wp.vec3d)
+    director: wp.array(dtype=wp.vec3d)  # d of F; the normal where no other body is seen
     density: wp.array(dtype=wp.float64)  # (body_count,) [kg/m2] of its surface
     stiffness: wp.float64  # [Pa] k^c
 

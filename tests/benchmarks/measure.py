@@ -20,6 +20,7 @@ import contact_rules
 import flesh_cost
 import numpy as np
 import pyelastica_cost
+import rigid_contact
 import strands_cost
 
 from plait.pipeline import bench
@@ -191,6 +192,7 @@ MEASUREMENTS: dict[str, Callable[[], dict[str, Any]]] = {
     "errors": errors,
     "flesh": flesh,
     "contact": contact_rules.measure,
+    "rigid": rigid_contact.measure,
 }
 TABLES = {
     "cost": _cost_table,
@@ -198,6 +200,7 @@ TABLES = {
     "errors": _errors_table,
     "flesh": _flesh_table,
     "contact": contact_rules.table,
+    "rigid": rigid_contact.table,
 }
 
 
@@ -215,8 +218,9 @@ def main() -> None:
         (RESULTS / f"{name}.json").write_text(bench.as_json_text(found) + "\n")
     held = {path.stem: json.loads(path.read_text()) for path in sorted(RESULTS.glob("*.json"))}
     parts = ["\n".join(table(held)) for name, table in TABLES.items() if name in held]
-    first = held[names[0]]
-    made = f"Measured on {first['cores']} cores of {first['processor']}, {first['date'][:10]}."
+    first, dates = held[names[0]], sorted({found["date"][:10] for found in held.values()})
+    when = dates[0] if len(dates) == 1 else f"{dates[0]} to {dates[-1]}"
+    made = f"Measured on {first['cores']} cores of {first['processor']}, {when}."
     (RESULTS / "tables.md").write_text("\n\n".join([made, *parts]) + "\n")
     print((RESULTS / "tables.md").read_text())
 

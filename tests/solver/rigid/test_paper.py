@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ from plait.solver.scene import Joint
 from plait.solver.settings import RigidSettings
 
 from ..contact.soft_scenes import floor, turn_z
-from ..tets.lattices import placed
+from ..tets.lattices import box_body, placed
 from .rigid_scenes import FRAME, SUBSTEPS, Prop, Rigid, box, rotation_about
+from .test_flesh import Both
 
 GRAVITY, SIZE, CELL = 9.81, 0.2, 0.02
 # [Pa] Boxes of this size and 1000 kg/m3 press on what they lie on with two hundredths of it.
@@ -224,6 +226,7 @@ def test_a_slope_below_the_threshold_holds(angle, friction):
     assert np.ptp(way) < CELL
 
 
+@pytest.mark.slow
 def test_a_rising_floor_lifts_and_carries_along():
     """A floor that rises and slides, at .2 and .3 m/s: the box on it comes to move with it."""
 
@@ -251,30 +254,53 @@ def poses(scene: Rigid) -> np.ndarray:
     return np.concatenate([scene.position, scene.stage.orientation.numpy(), scene.velocity], axis=1)
 
 
-def test_threads_and_runs_do_not_change_the_bits():
-    runs = []
-    for threads in (1, 1, 2):
-        scene = landing(threads)
-        scene.run(4 * FRAME)
-        runs.append(poses(scene))
-    assert np.array_equal(runs[0], runs[1])
-    assert np.array_equal(runs[0], runs[2])
-
-
-def test_a_saved_state_and_a_retracted_step_go_on_with_the_same_bits():
-    scene, other = landing(), landing()
-    scene.run(3 * FRAME)
-    other.simulation.state.restore(scene.simulation.state.to_numpy())
-    substep = Interval(scene.time, scene.time + FRAME / SUBSTEPS)
-    kinematics = scene.simulation.model.parts["kinematics"]
-    for stage in (kinematics, scene.stage):
-        stage.begin_frame(scene.simulation.state, substep)
-        stage.step(scene.simulation.state, substep, False)
-    for stage in (scene.stage, kinematics):
-        stage.retract(scene.simulation.state, substep)
-    for each in (scene, other):
+def test_bits_do_not_depend_on_threads_or_interruptions():
+    """Run to run, on one or two threads, taken up from a saved state, or with a step that was retracted."""
+    scene, again, threaded, resumed = landing(), landing(), landing(2), landing()
+    for each in (scene, again, threaded):
         each.run(2 * FRAME)
-    assert np.array_equal(poses(scene), poses(other))
+    resumed.simulation.state.restore(scene.simulation.state.to_numpy())
+    substep = Interval(again.time, again.time + FRAME / SUBSTEPS)
+    kinematics = again.simulation.model.parts["kinematics"]
+    for stage in (kinematics, again.stage):
+        stage.begin_frame(again.simulation.state, substep)
+        stage.step(again.simulation.state, substep, False)
+    for stage in (again.stage, kinematics):
+        stage.retract(again.simulation.state, substep)
+    for each in (scene, again, threaded, resumed):
+        each.run(FRAME)
+        assert np.array_equal(poses(each), poses(scene))
+    assert scene.stage.contact._touching.numpy().any()
+
+
+def test_flesh_meets_the_bodies_as_by_the_default():
+    """A jelly thrown at a free box: it is pushed, momenta stay, though substeps are taken again for it."""
+    jelly = box_body(size=(0.2, 0.2, 0.2), cells=2, youngs_modulus=1e4)
+    both = Both(
+        [box(centre=(0.23, 0.03, 0.0), density=300.0)],
+        [jelly],
+        gravity=(0.0, 0.0, 0.0),
+        precision="float64",
+        rigid=RigidSettings(method="paper"),
+    )
+    both.push_flesh([2.0, 0.0, 0.0])
+    both.substep()
+    linear, angular = both.momenta()
+    for _ in range(16):
+        both.substep()
+    after = both.momenta()
+    assert both.velocity[0, 0] > 0.2
+    assert np.abs(after[0] - linear).max() < 1e-12 * np.abs(linear).max()
+    assert np.abs(after[1] - angular).max() < 1e-12 * np.abs(linear).max()
+
+
+def test_what_has_no_skin_falls():
+    """Nothing collides: a body without a skin, above a floor and below it."""
+    prop = box(centre=(0.0, 0.15, 0.0))
+    prop.surface = replace(prop.surface, collides=False)
+    scene = run([prop], [floor()])
+    scene.run(0.5)
+    assert scene.velocity[0] == pytest.approx([0.0, -GRAVITY * 0.5, 0.0], rel=1e-12)
 
 
 def test_far_from_everything_a_substep_is_one_step_of_two_launches():
