@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from pxr import Usd, UsdPhysics
+from pxr import Usd, UsdGeom, UsdPhysics
 
 from plait.pipeline.read.solids import shape_in
 from plait.pipeline.read.source import Source
@@ -35,6 +35,8 @@ def bounding_shape(source: Source, prim: Usd.Prim, points: np.ndarray, placed: n
 
 def tell_of_approximation(source: Source, prim: Usd.Prim, surface: Surface) -> None:
     """Says where another surface than the mesh is asked for, and touching is as drawn all the same."""
+    if prim.IsA(UsdGeom.Plane):
+        source.warn("ends where it is drawn; others take a Plane that collides as endless", prim, "width, length")
     kind = _approximation(prim)
     if kind in ("convexHull", "convexDecomposition") and not _is_convex(surface):
         source.warn(f"is {kind}; the mesh touches as it is drawn, with its hollows", prim, ATTRIBUTE)

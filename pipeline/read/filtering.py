@@ -7,7 +7,7 @@ from itertools import combinations
 
 from pxr import Usd, UsdPhysics
 
-from plait.pipeline.read.source import Source
+from plait.pipeline.read.source import PREDICATE, Source
 from plait.solver.scene import Surface
 
 Indices = Sequence[int]
@@ -28,7 +28,7 @@ def _beneath(surfaces: Sequence[Surface], path: str) -> list[int]:
 
 
 def _of_pairs(source: Source, surfaces: Sequence[Surface]) -> Iterator[tuple[Indices, Indices]]:
-    for prim in source.stage.Traverse():
+    for prim in source.stage.Traverse(PREDICATE):
         if prim.HasAPI(UsdPhysics.FilteredPairsAPI):
             own = _beneath(surfaces, str(prim.GetPath()))
             for target in UsdPhysics.FilteredPairsAPI(prim).GetFilteredPairsRel().GetTargets():
@@ -37,7 +37,7 @@ def _of_pairs(source: Source, surfaces: Sequence[Surface]) -> Iterator[tuple[Ind
 
 def _of_joints(source: Source, surfaces: Sequence[Surface]) -> Iterator[tuple[Indices, Indices]]:
     """What a joint holds together, unless it says otherwise; the world as a whole is none of it."""
-    for prim in source.stage.Traverse():
+    for prim in source.stage.Traverse(PREDICATE):
         joint = UsdPhysics.Joint(prim)
         if not joint or joint.GetCollisionEnabledAttr().Get(source.start):
             continue

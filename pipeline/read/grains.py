@@ -91,6 +91,11 @@ class Heaps:
     def __len__(self) -> int:
         return len(self._heaps)
 
+    @property
+    def emitting(self) -> tuple[str, ...]:
+        """Paths of the prims that pour."""
+        return tuple(heap.path for heap in self._heaps if isinstance(heap.shape, Nozzle))
+
     def told(self, path: str) -> str:
         """Of the prim at `path`: where its grains come back, in words; '' for none."""
         places = [output.prim_path for output in self.outputs if output.source_path == path]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pxr import UsdGeom, UsdPhysics
 
-from plait.pipeline.read.source import Source
+from plait.pipeline.read.source import PREDICATE, Source
 
 EARTH = 9.81
 
@@ -18,7 +18,7 @@ def read_gravity(source: Source) -> np.ndarray:
     down = (
         np.array([0.0, 0.0, -1.0]) if UsdGeom.GetStageUpAxis(source.stage) == "Z" else np.array([0.0, -1.0, 0.0])
     )
-    scenes = [prim for prim in source.stage.Traverse() if prim.IsA(UsdPhysics.Scene)]
+    scenes = [prim for prim in source.stage.Traverse(PREDICATE) if prim.IsA(UsdPhysics.Scene)]
     if not scenes:
         return EARTH * down
     if len(scenes) > 1:

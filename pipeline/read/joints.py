@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pxr import Usd, UsdPhysics
@@ -16,7 +16,10 @@ from plait.pipeline.read.roles import Role
 from plait.pipeline.read.shapes import checked_axis, turn_from_z
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.turns import of_quaternion, rotation_of
-from plait.solver.scene import Joint, Pose, StaticMotion
+from plait.solver.scene import Drive, Joint, Pose, StaticMotion
+
+# Of a turn, by which limits that are one may differ from it: float32.
+ROUNDING = 1e-6
 
 
 @dataclass
@@ -55,7 +58,7 @@ def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
     if bodies[0] == bodies[1]:
         source.warn("holds no simulated body to another or to the world; left out", prim)
         return None
-    held = drawn_kind(prim)
+    held = drawn_kind(source, prim)
     if held.kind in ("revolute", "prismatic", "spherical") and prim.HasAttribute("physics:axis"):
         checked_axis(source, prim.GetAttribute("physics:axis"))
     turn = turn_from_z(held.axis) if held.axis else np.eye(3)
@@ -73,14 +76,17 @@ def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
         else:
             frame[:3, 3] -= props.placement(props.paths[body])[:3, 3]
         frames.append(frame)
+    limits, drive = _limits(source, prim, held), read_drive(source, prim, held)
+    if held.kind == "revolute":
+        frames[0], limits, drive = _within_half_a_turn(source, prim, frames[0], limits, drive)
     return Joint(
         name=str(prim.GetPath()),
         kind=held.kind,
         bodies=bodies,
         frames=(frames[0], frames[1]),
-        limits=_limits(source, prim, held),
+        limits=limits,
         cone=_cone(source, prim) if held.kind == "spherical" else None,
-        drive=read_drive(source, prim, held),
+        drive=drive,
         motion=motion,
         collide=bool(joint.GetCollisionEnabledAttr().Get(source.start)),
     )
@@ -147,11 +153,42 @@ def _limits(source: Source, prim: Usd.Prim, held: Drawn) -> tuple[float, float] 
     if held.kind != "revolute":
         lower, upper = (limit * source.units.meters_per_unit for limit in (lower, upper))
         return None if lower == -np.inf and upper == np.inf else (lower, upper)
-    if lower <= -180.0 and upper >= 180.0:
+    if lower == -np.inf and upper == np.inf:
         return None
-    if lower > 180.0 or upper < -180.0:
-        raise source.error(f"is {lower:g}", prim, held.lower, "author limits within half a turn")
-    return float(np.radians(max(lower, -180.0))), float(np.radians(min(upper, 180.0)))
+    return float(np.radians(lower)), float(np.radians(upper))
+
+
+def _within_half_a_turn(
+    source: Source,
+    prim: Usd.Prim,
+    frame: np.ndarray,
+    limits: tuple[float, float] | None,
+    drive: Drive | None,
+) -> tuple[np.ndarray, tuple[float, float] | None, Drive | None]:
+    """The first frame, limits and drive of a hinge, such that angles are within half a turn: more are not counted.
+
+    Limits beyond are measured from their middle, to which the frame, z its axis, is turned.
+    """
+    middle = 0.0
+    if limits is not None and not np.isfinite(limits).all():
+        source.warn("has one limit; half a turn the other way is taken as the other", prim, "physics:lowerLimit")
+        limits = max(limits[0], -np.pi), min(limits[1], np.pi)
+    elif limits is not None and limits[1] - limits[0] >= 2.0 * np.pi:
+        if limits[1] - limits[0] > 2.0 * np.pi * (1.0 + ROUNDING):
+            source.warn("allows more than a turn; turns are not counted, none is", prim, "physics:upperLimit")
+        limits = None
+    elif limits is not None and (limits[0] < -np.pi or limits[1] > np.pi):
+        middle = 0.5 * (limits[0] + limits[1])
+        limits = limits[0] - middle, limits[1] - middle
+        frame = frame @ _about_z(middle)
+    return frame, limits, drive and replace(drive, target=drive.target - middle)
+
+
+def _about_z(angle: float) -> np.ndarray:
+    """(4, 4)"""
+    turn = np.eye(4)
+    turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return turn
 
 
 def _cone(source: Source, prim: Usd.Prim) -> float | None:

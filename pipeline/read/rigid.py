@@ -6,7 +6,7 @@ shear lies above is in the rest points, and a pose is a rotation and a translati
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,9 +16,10 @@ from plait.pipeline.config import Config
 from plait.pipeline.read import parameters
 from plait.pipeline.read.approximation import bounding_shape, tell_of_approximation
 from plait.pipeline.read.masses import Part, read_mass
-from plait.pipeline.read.motions import Placement, WorldToLocal, transform
+from plait.pipeline.read.motions import Placement, RigidMotion, WorldToLocal, transform
 from plait.pipeline.read.parameter_table import RIGID
 from plait.pipeline.read.roles import Role
+from plait.pipeline.read.roots import Rooted
 from plait.pipeline.read.solids import solid_shape
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Bodies, Body
@@ -74,7 +75,8 @@ class Props:
     """
 
     def __init__(self, source: Source, bodies: Bodies, assigned: Sequence[Role], config: Config) -> None:
-        """Puts the surfaces of all of them into `bodies`, which from now on gives them in their body's rest space.
+        """Puts the surfaces of all of them into `bodies`, which from now on gives them in their body's rest space,
+        and with them what is drawn beneath the bodies and touches nothing.
 
         Raises InputError for what cannot be rigid, or has no mass.
         """
@@ -87,6 +89,7 @@ class Props:
                     parts.append(self._part(role, bodies, config))
         self.paths = tuple(self._parts)
         self._carry()
+        bodies.place_by(self._take_along)
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -129,6 +132,33 @@ class Props:
             prim = self._source.stage.GetPrimAtPath(path)
         return None
 
+    def carry_roots(self, rooted: Rooted, path: str) -> Rooted:
+        """Where strands of the prim at `path` grow; on a carrier that nobody drew, as the body moves them all."""
+        bodies = {body.surface.rigid for body in rooted.bodies}
+        if not bodies and isinstance(rooted.surface.motion, RigidMotion):
+            bodies = {self.carrying(path)}
+        if not rooted.hidden or len(bodies) != 1 or None in bodies:
+            return rooted
+        (index,) = bodies
+        to_world = self._rest_to_world(index)
+        to_rest = np.linalg.inv(to_world) @ rooted.rest_to_world
+        points = transform(to_rest, rooted.surface.points)
+        surface = replace(rooted.surface, points=points, motion=self._motion(self.paths[index]), rigid=index)
+        return replace(rooted, surface=surface, to_rest=to_rest @ rooted.to_rest, rest_to_world=to_world)
+
+    def tell_of_left_behind(self, surfaces: Sequence[Surface], others: Iterable[str]) -> None:
+        """Warns of prims that are drawn beneath a body and act where the shot has them.
+
+        surfaces: all of the scene.  others: paths of prims that the animation moves.
+        """
+        # What nobody drew is called after the prim it is for: '/World/Hair (roots)'.
+        left = [s.name.partition(" ")[0] for s in surfaces if s.rigid is None and s.body is None]
+        for path in (*left, *others):
+            index = self.carrying(path)
+            if index is not None:
+                problem = f"acts where the shot has it: it does not move with the rigid body {self.paths[index]}"
+                self._source.warn(problem, path)
+
     def _prim(self, path: str) -> Usd.Prim:
         return self._source.stage.GetPrimAtPath(path)
 
@@ -152,33 +182,46 @@ class Props:
     def _motion(self, path: str) -> HeldMotion:
         return HeldMotion(self._source, Placement(self._source, self._prim(path)))
 
-    def _carried(self, part: Part, index: int, motion: Motion) -> Body:
-        """The part's surface in the rest space of its body."""
-        body, given = part.body, part.given
-        place = self.placement(self.paths[index])[:3, 3]
-        points = body.posed - place
-        own_to_rest = self.placement(body.path)
-        own_to_rest[:3, 3] -= place
+    def _take_along(self, body: Body) -> Body:
+        """What is drawn beneath a rigid body, no part of it: it touches nothing, and carries what is on it."""
+        index = self.carrying(body.path)
+        if index is None or not isinstance(body.surface.motion, RigidMotion):
+            return body
+        held = self._in_rest_space(body, index, self._motion(self.paths[index]))
+        return replace(held, surface=replace(held.surface, collides=False))
+
+    def _rest_to_world(self, index: int) -> np.ndarray:
+        """(4, 4), a body's rest space to scene coordinates at the first frame."""
         to_world = np.eye(4)
-        to_world[:3, 3] = place
-        shape = solid_shape(self._source, body.prim, own_to_rest)
-        if shape is None:
-            own = transform(np.linalg.inv(own_to_rest), points)
-            shape = bounding_shape(self._source, body.prim, own, own_to_rest)
-        surface = replace(
-            body.surface,
-            points=points,
-            triangles=_outward(points, body.surface.triangles),
-            motion=motion,
-            thickness=given["clearance"],
-            friction=given["friction"] if "friction" in given else None,
-            rigid=index,
-            shape=shape,
-        )
-        tell_of_approximation(self._source, body.prim, surface)
+        to_world[:3, 3] = self.placement(self.paths[index])[:3, 3]
+        return to_world
+
+    def _in_rest_space(self, body: Body, index: int, motion: Motion) -> Body:
+        """A surface in the rest space of a rigid body, which carries it."""
+        to_world = self._rest_to_world(index)
+        own_to_rest = np.linalg.inv(to_world) @ self.placement(body.path)
+        surface = replace(body.surface, points=body.posed - to_world[:3, 3], motion=motion, rigid=index)
         return replace(
             body, surface=surface, rest_to_world=to_world, own_to_rest=own_to_rest, bind_to_rest=own_to_rest
         )
+
+    def _carried(self, part: Part, index: int, motion: Motion) -> Body:
+        """The part's surface in the rest space of its body."""
+        held, given = self._in_rest_space(part.body, index, motion), part.given
+        points, prim = held.surface.points, held.prim
+        shape = solid_shape(self._source, prim, held.own_to_rest)
+        if shape is None:
+            own = transform(np.linalg.inv(held.own_to_rest), points)
+            shape = bounding_shape(self._source, prim, own, held.own_to_rest)
+        surface = replace(
+            held.surface,
+            triangles=_outward(points, held.surface.triangles),
+            thickness=given["clearance"],
+            friction=given["friction"] if "friction" in given else None,
+            shape=shape,
+        )
+        tell_of_approximation(self._source, prim, surface)
+        return replace(held, surface=surface)
 
     def _rigid_body(self, index: int, path: str, surfaces: Sequence[Surface]) -> RigidBody:
         prim, parts = self._prim(path), self._parts[path]

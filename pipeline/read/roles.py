@@ -22,7 +22,7 @@ APPLIED = {
 UNSUPPORTED = ("cloth", "enriched")
 GRANULAR = ("sand", "snow")
 SIMULATED = ("strands", "flesh", "rigid", *GRANULAR, *UNSUPPORTED)
-RIGID_BODY = "PhysicsRigidBodyAPI"
+RIGID_BODY, COLLISION = "PhysicsRigidBodyAPI", "PhysicsCollisionAPI"
 PROP = "animated prop"
 SKIPPED = "skipped"
 
@@ -34,6 +34,7 @@ class Role:
     carries: strands may grow on it though it has no role: a visible mesh.
     rides: path of the TetMesh in whose tets it is drawn, '' for none: a deformable body's other meshes.
     body: path of the prim whose transform says where it is, '' for what is part of no simulated rigid body.
+    touches: False for a rigid body's prim that is no collider itself.
     """
 
     prim: Usd.Prim
@@ -45,14 +46,13 @@ class Role:
     carries: bool = False
     rides: str = ""
     body: str = ""
+    touches: bool = True
 
     @property
     def collides(self) -> bool:
         """Whether strands collide with it; also with what is skipped by its own physics: it stays where it is."""
-        if not is_solid(self.prim) or self.role not in ("collider", PROP, "flesh", "cloth", "rigid") or self.rides:
-            return False
-        by_physics = self.role in ("rigid", PROP) and not self.recognised.startswith("plait:role")
-        return not by_physics or has_collision(self.prim)
+        solid = is_solid(self.prim) and self.role in ("collider", PROP, "flesh", "cloth", "rigid")
+        return solid and self.touches and not self.rides
 
 
 def assign(source: Source, skeletons: Skeletons) -> list[Role]:
@@ -76,11 +76,6 @@ def is_solid(prim: Usd.Prim) -> bool:
 def is_granular(prim: Usd.Prim) -> bool:
     """Whether a prim of this type can be filled with grains, pour them, or is grains."""
     return is_solid(prim) or prim.IsA(UsdGeom.Points)
-
-
-def has_collision(prim: Usd.Prim) -> bool:
-    enabled = prim.GetAttribute("physics:collisionEnabled")
-    return "PhysicsCollisionAPI" in applied_schemas(prim) and (not enabled or enabled.Get() is not False)
 
 
 class _Assignment:
@@ -114,16 +109,13 @@ class _Assignment:
                 return Role(prim, role, name)
             if name in body_schemas and _is_geometry(prim) and role != "strands":
                 return Role(prim, role, f"{name} on {body.GetPath()}")
-        if (
-            is_solid(prim)
-            and "PhysicsCollisionAPI" in schemas
-            and (has_collision(prim) or RIGID_BODY not in schemas)
-        ):
-            return self._collision_role(prim)
-        if "PhysicsRigidBodyAPI" in schemas and self._enabled(prim, "physics:rigidBodyEnabled"):
+        enabled = self._enabled(prim, "physics:collisionEnabled")
+        if is_solid(prim) and COLLISION in schemas and (enabled or RIGID_BODY not in schemas):
+            return self._collision_role(prim, enabled)
+        if RIGID_BODY in schemas and self._enabled(prim, "physics:rigidBodyEnabled"):
             if self._is_kinematic(prim):
-                return Role(prim, PROP, f"{RIGID_BODY}, kinematicEnabled")
-            return Role(prim, "rigid", RIGID_BODY, body=str(prim.GetPath()))
+                return Role(prim, PROP, f"{RIGID_BODY}, kinematicEnabled", touches=False)
+            return Role(prim, "rigid", RIGID_BODY, body=str(prim.GetPath()), touches=False)
         if prim.IsA(UsdPhysics.Joint):
             return Role(prim, "rigid", str(prim.GetTypeName()))
         return None
@@ -148,6 +140,10 @@ class _Assignment:
         recognised = f"plait:role{where}"
         if value == "none":
             return Role(prim, SKIPPED, recognised, "plait:role is none")
+        if value == "collider" and is_solid(prim):
+            body = self._rigid_above(holder.GetParent())
+            if body is not None:
+                return Role(prim, "rigid", f"{recognised}, part of {body.GetPath()}", body=str(body.GetPath()))
         return Role(prim, value, recognised, body=str(prim.GetPath()) if value == "rigid" else "")
 
     def _check_type(self, prim: Usd.Prim, value: str, holder: Usd.Prim) -> None:
@@ -187,31 +183,49 @@ class _Assignment:
             holder = holder.GetParent()
         return None, set()
 
-    def _collision_role(self, prim: Usd.Prim) -> Role:
-        if not self._enabled(prim, "physics:collisionEnabled"):
-            return Role(prim, SKIPPED, "PhysicsCollisionAPI", "physics:collisionEnabled is false")
-        holder = prim
-        while holder and not holder.IsPseudoRoot():
-            if "PhysicsRigidBodyAPI" in applied_schemas(holder):
-                break
-            holder = holder.GetParent()
-        else:
-            return Role(prim, "collider", "PhysicsCollisionAPI")
+    def _collision_role(self, prim: Usd.Prim, enabled: bool) -> Role:
+        if not enabled:
+            return Role(prim, SKIPPED, COLLISION, "physics:collisionEnabled is false")
+        holder = self._body_of(prim)
+        if holder is None:
+            return Role(prim, "collider", COLLISION)
         where = "" if holder == prim else f" on {holder.GetPath()}"
         if not self._enabled(holder, "physics:rigidBodyEnabled"):
-            return Role(prim, "collider", f"PhysicsCollisionAPI, PhysicsRigidBodyAPI{where} is disabled")
+            return Role(prim, "collider", f"{COLLISION}, {RIGID_BODY}{where} is disabled")
         if self._is_kinematic(holder):
-            return Role(prim, PROP, f"PhysicsRigidBodyAPI{where}, kinematicEnabled")
-        return Role(prim, "rigid", f"PhysicsRigidBodyAPI{where}", body=str(holder.GetPath()))
+            return Role(prim, PROP, f"{RIGID_BODY}{where}, kinematicEnabled")
+        return Role(prim, "rigid", f"{RIGID_BODY}{where}", body=str(holder.GetPath()))
+
+    def _body_of(self, prim: Usd.Prim) -> Usd.Prim | None:
+        """The nearest prim, itself or above, with PhysicsRigidBodyAPI."""
+        while prim and not prim.IsPseudoRoot():
+            if RIGID_BODY in applied_schemas(prim):
+                return prim
+            prim = prim.GetParent()
+        return None
+
+    def _rigid_above(self, prim: Usd.Prim) -> Usd.Prim | None:
+        """The dynamic body that `prim` is or is part of."""
+        body = self._body_of(prim)
+        if body is None or not self._enabled(body, "physics:rigidBodyEnabled") or self._is_kinematic(body):
+            return None
+        return body
 
     def _enabled(self, prim: Usd.Prim, name: str) -> bool:
-        attribute = prim.GetAttribute(name)
-        value = attribute.Get(self._source.start) if attribute else None
+        value = self._switch(prim, name)
         return True if value is None else bool(value)
 
     def _is_kinematic(self, prim: Usd.Prim) -> bool:
-        attribute = prim.GetAttribute("physics:kinematicEnabled")
-        return bool(attribute and attribute.Get(self._source.start))
+        return bool(self._switch(prim, "physics:kinematicEnabled"))
+
+    def _switch(self, prim: Usd.Prim, name: str) -> bool | None:
+        """At the first frame; None where nothing says."""
+        attribute = prim.GetAttribute(name)
+        if not attribute:
+            return None
+        if attribute.ValueMightBeTimeVarying() and len({attribute.Get(t) for t in attribute.GetTimeSamples()}) > 1:
+            self._source.warn("is animated; its value at the first frame holds", prim, name)
+        return attribute.Get(self._source.start)
 
     # --- implied ----------------------------------------------------------------------------------------------
 
@@ -285,13 +299,13 @@ class _Assignment:
     def _checked_rigid(self, role: Role) -> Role:
         prim = role.prim
         if prim.IsA(UsdPhysics.Joint):
-            known = drawn_kind(prim) is not None
+            known = drawn_kind(self._source, prim) is not None
             return (
                 role if known else replace(role, reason=f"{prim.GetTypeName()} is not simulated", supported=False)
             )
         body = self._source.stage.GetPrimAtPath(role.body)
         reason = self._why_unwritable(body)
-        if not reason and _under_instancer(body):
+        if not reason and (body.IsA(UsdGeom.PointInstancer) or _under_instancer(body)):
             reason = "a prototype of a PointInstancer; make prims of its instances"
         if not reason and not any(part.body == role.body and part.collides for part in self._parts_of(body)):
             massive = body.HasAPI(UsdPhysics.MassAPI) and body.GetAttribute("physics:mass").HasAuthoredValue()
@@ -326,6 +340,10 @@ class _Assignment:
             return self._checked_granular(role)
         if role.role in UNSUPPORTED:
             return replace(role, reason=f"{role.role} is not simulated yet", supported=False)
+        if role.role in ("collider", PROP) and role.authored and _under_instancer(role.prim):
+            reason = "a prototype of a PointInstancer; make prims of its instances"
+            self._source.warn(f"does not collide: {reason}", role.prim)
+            return replace(role, role=SKIPPED, reason=reason)
         return role
 
 

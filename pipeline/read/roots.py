@@ -51,6 +51,11 @@ class Rooted:
     bodies: tuple[Body, ...]
     how: str
 
+    @property
+    def hidden(self) -> bool:
+        """Whether the surface is a carrier that nobody drew, not one of the skins."""
+        return all(body.surface is not self.surface for body in self.bodies)
+
     def select(self, chosen: np.ndarray) -> Rooted:
         """Of some strands, (strand_count,) bool."""
         return replace(

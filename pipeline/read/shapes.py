@@ -49,8 +49,8 @@ def _sphere(source: Source, prim: Usd.Prim) -> Polygons:
 
 
 def _cylinder(source: Source, prim: Usd.Prim) -> Polygons:
-    radius, half = _size(source, prim, "radius"), 0.5 * _size(source, prim, "height")
-    return _lathe(np.array([0.0, radius, radius, 0.0]), np.array([-half, -half, half, half]), _axis(source, prim))
+    (bottom, top), half = end_radii(source, prim), 0.5 * _size(source, prim, "height")
+    return _lathe(np.array([0.0, bottom, top, 0.0]), np.array([-half, -half, half, half]), _axis(source, prim))
 
 
 def _cone(source: Source, prim: Usd.Prim) -> Polygons:
@@ -59,13 +59,23 @@ def _cone(source: Source, prim: Usd.Prim) -> Polygons:
 
 
 def _capsule(source: Source, prim: Usd.Prim) -> Polygons:
-    radius, half = _size(source, prim, "radius"), 0.5 * _size(source, prim, "height", zero=True)
+    """Two half balls and what is between them."""
+    (bottom, top), half = end_radii(source, prim), 0.5 * _size(source, prim, "height", zero=True)
     angles = np.linspace(0.0, 0.5 * np.pi, RINGS // 2 + 1)
-    lower = np.column_stack([radius * np.sin(angles), -half - radius * np.cos(angles)])
-    profile = np.concatenate([lower, (lower * [1.0, -1.0])[::-1]])
-    if half == 0.0:
+    across, along = np.sin(angles), np.cos(angles)
+    lower = np.column_stack([bottom * across, -half - bottom * along])
+    upper = np.column_stack([top * across, half + top * along])[::-1]
+    profile = np.concatenate([lower, upper])
+    if half == 0.0 and bottom == top:
         profile = np.delete(profile, len(lower), axis=0)
     return _lathe(profile[:, 0], profile[:, 1], _axis(source, prim))
+
+
+def end_radii(source: Source, prim: Usd.Prim) -> tuple[float, float]:
+    """[stage units], of a cylinder or capsule at its bottom and its top, which newer types have apart."""
+    names = ("radiusBottom", "radiusTop") if prim.HasAttribute("radiusTop") else ("radius", "radius")
+    bottom, top = (_size(source, prim, name) for name in names)
+    return bottom, top
 
 
 def _plane(source: Source, prim: Usd.Prim) -> Polygons:
@@ -123,5 +133,7 @@ _SHAPES = {
     UsdGeom.Cylinder: _cylinder,
     UsdGeom.Cone: _cone,
     UsdGeom.Capsule: _capsule,
+    UsdGeom.Capsule_1: _capsule,
+    UsdGeom.Cylinder_1: _cylinder,
     UsdGeom.Plane: _plane,
 }

@@ -76,6 +76,7 @@ class _Reader:
         choose_leaders(self.source, grooms)
         assembly = Assembly(self.source, self.skeletons, grooms, surfaces)
         attachments = assembly.attachments(self.bodies, self.roles)
+        props.tell_of_left_behind(surfaces, heaps.emitting)
         bodies = tuple(
             replace(tissue.tets, surface=next(i for i, s in enumerate(surfaces) if s.body == index))
             for index, tissue in enumerate(tissues.values())
@@ -197,13 +198,12 @@ class _Reader:
             binding = self.skeletons.find(groom.role.prim)
             # What is free grows on nothing: it starts where its own prim is, unless a skin is named.
             candidates = named if named is not None else [] if groom.free.all() else self._candidates(groom)
-            groom.rooted = find_roots(
-                self.source, groom.curves, groom.lines, binding, candidates, named is not None
-            )
+            rooted = find_roots(self.source, groom.curves, groom.lines, binding, candidates, named is not None)
+            groom.rooted = props.carry_roots(rooted, groom.curves.path)
             self._tell_of_animated_roots(groom, tissues)
             for body in groom.rooted.bodies:
                 carrying.setdefault(body.path, []).append(groom.curves.path)
-            if not groom.rooted.surface.collides:
+            if groom.rooted.hidden:
                 hidden.append(groom.rooted.surface)
         surfaces = []
         for role in self.roles:
@@ -220,7 +220,7 @@ class _Reader:
     def _tell_of_animated_roots(self, groom: Groom, tissues: dict[str, Tissue]) -> None:
         """Strands that grow on several skins, or were drawn in a pose, follow the animation of these."""
         flesh = [body.path for body in groom.rooted.bodies if body.path in tissues]
-        if flesh and not groom.rooted.surface.collides:
+        if flesh and groom.rooted.hidden:
             self.source.warn(
                 f"its roots follow the animation of {', '.join(flesh)}, not the simulated flesh: "
                 "the strands grow on several skins or were drawn in a pose",
@@ -292,7 +292,7 @@ class _Reader:
         if groom and groom.follows:
             kind = INTERPOLATED
         if path in carrying and not role.collides:
-            kind, reason = "collider", ""
+            kind, reason = "collider" if self.bodies.get(prim).surface.collides else "carrier", ""
             recognised = f"{', '.join(carrying[path])} grows on it"
         if prim.IsA(UsdGeom.Curves):
             sizes = drawn.sizes(prim, self.source)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from plait.pipeline.read.shapes import turn_to_axis
+from plait.pipeline.read.shapes import end_radii, turn_to_axis
 from plait.pipeline.read.source import Source
 from plait.solver.scene import Shape, ShapeKind
 
@@ -16,11 +16,11 @@ ROUNDING = 1e-5
 def solid_shape(source: Source, prim: Usd.Prim, placed: np.ndarray) -> Shape | None:
     """The shape that `placed`, (4, 4) from the prim's own space [stage units] to metres, makes of it.
 
-    None for a mesh, and, told of in a warning, for what is scaled or sheared into another shape: its polygons are
-    what is meant then.
+    None for a mesh, for what has two radii, and, told of in a warning, for what is scaled or sheared into another
+    shape: its polygons are what is meant then.
     """
     kind = next((kind for schema, kind in KINDS.items() if prim.IsA(schema)), None)
-    if kind is None:
+    if kind is None or (prim.HasAttribute("radiusTop") and len(set(end_radii(source, prim))) == 2):
         return None
     placed = placed.copy()
     if kind not in ("box", "sphere"):
@@ -51,6 +51,8 @@ KINDS = {
     UsdGeom.Cylinder: "cylinder",
     UsdGeom.Cone: "cone",
     UsdGeom.Capsule: "capsule",
+    UsdGeom.Cylinder_1: "cylinder",
+    UsdGeom.Capsule_1: "capsule",
 }
 NAMES = {"box": "box", "sphere": "ball", "cylinder": "cylinder", "cone": "cone", "capsule": "capsule"}
 
@@ -65,7 +67,7 @@ def _size(source: Source, prim: Usd.Prim, kind: str) -> np.ndarray:
         return np.full(3, 0.5 * held("size"))
     if kind == "sphere":
         return np.full(3, held("radius"))
-    return np.array([held("radius"), 0.5 * held("height"), 0.0])
+    return np.array([end_radii(source, prim)[0], 0.5 * held("height"), 0.0])
 
 
 def _square(axes: np.ndarray) -> bool:

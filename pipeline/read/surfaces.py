@@ -103,13 +103,19 @@ class Bodies:
     def __init__(self, source: Source, skeletons: Skeletons) -> None:
         self._source, self._skeletons = source, skeletons
         self._read: dict[str, Body | None] = {}
+        self._place: Callable[[Body], Body] = lambda body: body
 
     def get(self, prim: Usd.Prim) -> Body | None:
         """None for a prim without a single triangle."""
         path = str(prim.GetPath())
         if path not in self._read:
-            self._read[path] = read_body(self._source, prim, self._skeletons.find(prim))
+            body = read_body(self._source, prim, self._skeletons.find(prim))
+            self._read[path] = body and self._place(body)
         return self._read[path]
+
+    def place_by(self, place: Callable[[Body], Body]) -> None:
+        """From now on a prim that is read is what `place` makes of it: what moves it may not be the shot."""
+        self._place = place
 
     def replace(self, body: Body) -> None:
         """From now on `body` is what `get` gives for its prim."""

@@ -21,6 +21,7 @@ from plait.solver.rigid.joint_pose_kernels import (
     joint_error,
     joint_pose,
     limit_state,
+    limited,
     mat66d,
     pose_at_start,
     slides,
@@ -173,11 +174,6 @@ def row_speeds(joints: Joints, j: int, relative: Relative) -> vec6d:
         out[k] = wp.dot(axis, relative.velocity)
         out[3 + k] = wp.dot(axis, relative.spin)
     return out
-
-
-@wp.func
-def limited(joints: Joints, j: int) -> bool:
-    return joints.lower[j] > -wp.inf or joints.upper[j] < wp.inf
 
 
 @wp.func

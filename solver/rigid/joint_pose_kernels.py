@@ -91,6 +91,11 @@ def drives(joints: Joints, j: int, row: int) -> bool:
 
 
 @wp.func
+def limited(joints: Joints, j: int) -> bool:
+    return joints.lower[j] > -wp.inf or joints.upper[j] < wp.inf
+
+
+@wp.func
 def body_position(motion: Motion, b: int) -> wp.vec3d:
     if b < 0:
         return wp.vec3d()
@@ -214,7 +219,7 @@ def begin_drive(joints: Joints, j: int, pose: JointPose, response: wp.float64, l
     if joints.driven[j] == 2:
         scale = ONE / response
     away = limit_state(joints.kind[j], pose).value - drive[2]
-    if joints.kind[j] == REVOLUTE:
+    if joints.kind[j] == REVOLUTE and not limited(joints, j):  # the shorter way, where nothing bars it
         away = wp.atan2(wp.sin(away), wp.cos(away))
     strength = length * drive[0] + drive[1]
     softness = ONE / (scale * length * strength)

@@ -67,6 +67,30 @@ def test_limits_are_degrees_and_stage_units(read) -> None:
         read(BOTH + _joint("Revolute", "float physics:lowerLimit = 9\nfloat physics:upperLimit = -9"))
 
 
+def test_limits_beyond_half_a_turn_are_measured_from_their_middle(read) -> None:
+    """-10 to 270 degrees are 140 either way of 130; so is a drive's target."""
+    applied = '"J" (prepend apiSchemas = ["PhysicsDriveAPI:angular"])'
+    lines = "float physics:lowerLimit = {}\nfloat physics:upperLimit = {}\n"
+    drive = "float drive:angular:physics:stiffness = 1\nfloat drive:angular:physics:targetPosition = 200"
+    whole = _only(read(BOTH + _joint("Revolute")))
+    joint = _only(read(BOTH + _joint("Revolute", lines.format(-10, 270) + drive).replace('"J"', applied)))
+    np.testing.assert_allclose(joint.limits, np.radians([-140.0, 140.0]))
+    assert joint.drive.target == pytest.approx(np.radians(70.0))
+    turn = np.linalg.inv(whole.frames[0]) @ joint.frames[0]
+    np.testing.assert_allclose(turn[:2, 0], [np.cos(np.radians(130.0)), np.sin(np.radians(130.0))], atol=1e-7)
+    np.testing.assert_array_equal(whole.frames[1], joint.frames[1])
+    for lower, upper, limits, said in (
+        (0, 360, None, False),
+        (-360, 360, None, True),
+        ("-inf", 90, (-180.0, 90.0), True),
+        ("-inf", "inf", None, False),
+    ):
+        shot = read(BOTH + _joint("Revolute", lines.format(lower, upper)))
+        found = _only(shot).limits
+        assert found == (None if limits is None else pytest.approx(np.radians(limits)))
+        assert any("Limit" in warning for warning in shot.warnings) == said
+
+
 @pytest.mark.parametrize("kinematic", [False, True])
 def test_a_side_may_be_the_world_or_what_is_animated(kinematic: bool, read) -> None:
     """Nothing named is the stage's own origin; a kinematic body carries its side."""
@@ -172,6 +196,18 @@ def test_a_generic_joint_is_what_its_limits_leave_free(free: tuple[str, ...], ki
         axis = np.eye(3)["XYZ".index(free[0][-1])]
         # Both cubes are turned by a quarter about z.
         np.testing.assert_allclose(joint.frames[0][:3, 2], [-axis[1], axis[0], axis[2]], atol=1e-7)
+
+
+def test_a_generic_joint_is_locked_by_samples_too(read) -> None:
+    freedoms = [f"{what}{axis}" for what in ("trans", "rot") for axis in "XYZ"]
+    applied = ", ".join(f'"PhysicsLimitAPI:{freedom}"' for freedom in freedoms)
+    lines = "\n".join(
+        f"float limit:{freedom}:physics:low.timeSamples = {{1: 1}}\n"
+        f"float limit:{freedom}:physics:high.timeSamples = {{1: -1}}"
+        for freedom in freedoms
+    )
+    joint = _only(read(BOTH + _joint("", lines).replace('"J"', f'"J" (prepend apiSchemas = [{applied}])')))
+    assert joint.kind == "fixed"
 
 
 def test_a_generic_joint_of_other_freedoms_is_refused(read) -> None:

@@ -26,7 +26,8 @@ def _prim(
     kind: str, lines: str = "", schemas: tuple[str, ...] = BODY, inside: str = "", name: str = "Body"
 ) -> str:
     applied = ", ".join(f'"{schema}"' for schema in schemas)
-    return f'def {kind} "{name}" (prepend apiSchemas = [{applied}])\n{{\n{lines}\n{inside}\n}}\n'
+    metadata = f"(prepend apiSchemas = [{applied}])" if schemas else ""
+    return f'def {kind} "{name}" {metadata}\n{{\n{lines}\n{inside}\n}}\n'
 
 
 def _place(*operations: str) -> str:
@@ -199,6 +200,108 @@ def test_what_touches_for_a_mesh(kind: str, read) -> None:
         assert shape.kind == "sphere" and shape.size[0] == pytest.approx(4.0 * np.sqrt(3.0))
     else:
         assert shape is None
+
+
+@pytest.mark.parametrize(("kind", "newer"), [("Cylinder", "Cylinder_1"), ("Capsule", "Capsule_1")])
+def test_newer_shapes_are_the_older_where_their_radii_are_alike(kind: str, newer: str, read) -> None:
+    """With two radii what touches is drawn; of a cylinder that is a frustum, V = pi h (a^2 + a b + b^2) / 3."""
+    same = [
+        read(_prim(name, f"double height = 3\n{radii}")).scene.surfaces[0]
+        for name, radii in (
+            (kind, "double radius = 0.5"),
+            (newer, "double radiusTop = 0.5\ndouble radiusBottom = 0.5"),
+        )
+    ]
+    assert same[0].shape.kind == same[1].shape.kind == kind.lower()
+    np.testing.assert_array_equal(same[0].shape.size, same[1].shape.size)
+    np.testing.assert_array_equal(same[0].points, same[1].points)
+    two = read(_prim(newer, "double height = 3\ndouble radiusTop = 0.5\ndouble radiusBottom = 1"))
+    points = two.scene.surfaces[0].points
+    assert two.scene.surfaces[0].shape is None
+    caps = (1.0, 0.5) if kind == "Capsule" else (0.0, 0.0)
+    assert points[:, 2].min() == pytest.approx(-1.5 - caps[0]) and points[:, 2].max() == pytest.approx(
+        1.5 + caps[1]
+    )
+    if kind == "Cylinder":
+        frustum = 1000.0 * np.pi * 3.0 * (0.25 + 0.5 + 1.0) / 3.0
+        # A polygon of 32 sides has sin(2 pi / 32) / (2 pi / 32) of its circle's area.
+        assert _only(two).mass == pytest.approx(frustum * np.sinc(1.0 / 16.0), rel=1e-6)
+
+
+def test_what_is_drawn_beneath_a_body_carries_hair_and_touches_nothing(read) -> None:
+    """A render mesh beside the shape that collides: hair on it, and hair on nothing, goes where the body goes."""
+    role = 'token plait:role = "strands"\n' + 'uniform token type = "linear"\nint[] curveVertexCounts = [3]\n'
+    hair = "".join(
+        _prim("BasisCurves", f"{role}point3f[] points = [{points}]\nfloat[] widths = [0.001]", (), name=name)
+        for name, points in (
+            ("OnMesh", "(1, 1, 0), (1.2, 1.2, 0), (1.4, 1.4, 0)"),
+            ("OnNothing", "(50, 0, 0), (51, 0, 0), (52, 0, 0)"),
+        )
+    )
+    drawn = _prim("Mesh", DENTED, (), name="Drawn")
+    proxy = _prim("Cube", schemas=("PhysicsCollisionAPI",), name="Proxy")
+    lines = _place("double3 translate = (0, 9, 0)", "double rotateZ = 30", "float3 scale = (2, 1, 1)")
+    text = _prim("Xform", lines, ("PhysicsRigidBodyAPI",), drawn + proxy + hair)
+    shot = read(text)
+    scene = shot.scene
+    assert {surface.name: surface.collides for surface in scene.surfaces} == {
+        "/Body/Drawn": False, "/Body/Proxy": True, "/Body/OnNothing (roots)": False,
+    }  # fmt: skip
+    assert all(surface.rigid == 0 for surface in scene.surfaces) and not any("/Body/" in w for w in _moves(shot))
+    turn = np.array([[np.sqrt(0.75), -0.5], [0.5, np.sqrt(0.75)]])
+    for strands, root in zip(scene.strands, ((1.0, 1.0), (50.0, 0.0)), strict=True):
+        to_world = scene.rigid_bodies[0].motion.pose(1 / 24).joint_transforms[0]
+        place = to_world[:3, :3] @ strands.points[0] + to_world[:3, 3] + scene.origin
+        np.testing.assert_allclose(place[:2], turn @ np.multiply(root, (2.0, 1.0)) + (0.0, 9.0), atol=1e-5)
+    kinds = {prim.path: prim.role for prim in shot.prims}
+    assert kinds["/Body/Drawn"] == "carrier" and kinds["/Body/Proxy"] == "rigid"
+
+
+def _moves(shot) -> list[str]:
+    return [warning for warning in shot.warnings if "does not move with the rigid body" in warning]
+
+
+def test_what_cannot_go_with_the_body_it_is_drawn_beneath_is_said(read) -> None:
+    sand = 'token plait:role = "sand"\nfloat plait:rate = 100\nfloat3 plait:velocity = (0, -1, 0)'
+    text = _prim("Cube", inside=_prim("Cube", sand, (), name="Nozzle"))
+    assert any("</Body/Nozzle>" in warning for warning in _moves(read(text)))
+
+
+def test_a_collider_by_role_beneath_a_body_is_part_of_it(read) -> None:
+    """On the body itself, or above it, the role stands over its physics."""
+    role = 'token plait:role = "collider"'
+    part = _prim("Cube", role, (), name="Part")
+    assert len(_only(read(_prim("Xform", schemas=("PhysicsRigidBodyAPI",), inside=part))).surfaces) == 1
+    still = read(_prim("Xform", "bool physics:kinematicEnabled = 1", ("PhysicsRigidBodyAPI",), part))
+    assert not still.scene.rigid_bodies
+    assert {prim.path: prim.role for prim in read(_prim("Cube", role)).prims} == {"/Body": "collider"}
+
+
+@pytest.mark.parametrize("name", ["kinematicEnabled", "rigidBodyEnabled", "collisionEnabled"])
+def test_switches_count_at_the_first_frame_and_what_they_do_later_is_said(name: str, read) -> None:
+    """Samples alone: the schema's fallback, which is what a value without a time is, must not be taken."""
+    massive = "float physics:mass = 1\nfloat3 physics:diagonalInertia = (1, 1, 1)\n"
+    for first in (0, 1):
+        one = read(_prim("Cube", f"{massive}bool physics:{name} = {first}"))
+        shot = read(_prim("Cube", f"{massive}bool physics:{name}.timeSamples = {{1: {first}, 5: {1 - first}}}"))
+        assert any(f"physics:{name}: is animated" in warning for warning in shot.warnings)
+        assert [prim.role for prim in shot.prims] == [prim.role for prim in one.prims]
+        assert len(shot.scene.surfaces) == len(one.scene.surfaces)
+
+
+def test_prototypes_of_an_instancer_do_not_collide_and_that_is_said(read) -> None:
+    """They would at their own place, where none of their instances is."""
+    rock = _prim("Cube", schemas=("PhysicsCollisionAPI",), name="Rock")
+    shot = read(_prim("Cube", name="Body") + _prim("PointInstancer", schemas=(), inside=rock, name="Rocks"))
+    assert [surface.name for surface in shot.scene.surfaces] == ["/Body"]
+    assert any("</Rocks/Rock>" in warning and "PointInstancer" in warning for warning in shot.warnings)
+    (held,) = [prim for prim in read(_prim("PointInstancer", inside=rock)).prims if prim.path == "/Body/Rock"]
+    assert not held.supported and "PointInstancer" in held.reason
+
+
+def test_a_plane_ends_where_it_is_drawn_and_that_is_said(read) -> None:
+    floor = _prim("Plane", schemas=("PhysicsCollisionAPI",), name="Floor")
+    assert any("</Floor>" in warning and "endless" in warning for warning in read(_prim("Cube") + floor).warnings)
 
 
 def test_uneven_scales(read) -> None:

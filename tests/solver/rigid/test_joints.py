@@ -255,6 +255,20 @@ def test_a_spring_takes_the_shorter_way_round():
     assert scene.spin[0][2] > 0.0
 
 
+def test_a_spring_goes_the_longer_way_where_limits_bar_the_shorter():
+    """From 140 degrees to -140, within -150 to 150: over 0, not over 180."""
+    limits = (-np.radians(150.0), np.radians(150.0))
+    drive = Drive(stiffness=1.0, damping=1.0, target=np.radians(-140.0), per_inertia=True)
+    hinge = Joint("hinge", "revolute", (None, 0), (np.eye(4), np.eye(4)), limits, drive=drive)
+    scene = Rigid([box()], joints=(hinge,), gravity=(0.0, 0.0, 0.0))
+    held = scene.simulation.state.to_numpy()
+    half = np.radians(140.0) / 2
+    held["rigid/orientation"][0] = [0.0, 0.0, np.sin(half), np.cos(half)]
+    scene.simulation.state.restore(held)
+    scene.run(FRAME)
+    assert scene.spin[0][2] < 0.0
+
+
 def test_a_distance_is_kept_within_its_limits():
     """A ball on a string of 0.4 m falls freely until it is taut, at .2 m; from then on it hangs."""
     ball = box((0.1, 0.1, 0.1), (0.0, -0.2, 0.0))
