@@ -14,8 +14,8 @@ from plait.solver.rigid.find_kernels import find_contacts, keep_contacts
 from plait.solver.rigid.geoms import GeomTable
 from plait.solver.rigid.island_kernels import Islands, find_islands
 from plait.solver.rigid.order_kernels import order_geoms
-from plait.solver.rigid.overlap_kernels import Effort
 from plait.solver.rigid.passing_kernels import find_passed
+from plait.solver.rigid.problem import Problem
 from plait.solver.rigid.row_kernels import Rows
 from plait.solver.rigid.solve_kernels import solve_islands
 from plait.solver.rigid.types import Animated, Boxes, Contacts, Finder, Kept
@@ -160,37 +160,30 @@ class RigidContact:
 
     def _record(self, buffer: int) -> list[Callable[[], None]]:
         """The launches of a substep that starts in that buffer."""
-        stage, prepare = self._stage, self._launcher.prepare
-        masses, start, work, step = stage.parts
-        geoms, animated = self.table.geoms, self._animated[buffer]
-        settings = self._model.settings.rigid
-        effort = Effort()
-        effort.tolerance, effort.exit_speed = settings.tolerance, settings.exit_speed
-        effort.sweeps, effort.passes = settings.iterations, settings.passes
-        joints, bodies = stage.joints.joints, len(stage.bodies)
-        islands, contacts, motion = self._islands, self.contacts, stage.motion
+        stage, prepare, problem = self._stage, self._launcher.prepare, self._problem()
+        geoms, animated, step = problem.geoms, self._animated[buffer], problem.step
         finder = Finder()
-        finder.step, finder.geoms, finder.animated, finder.motion = step, geoms, animated, motion
-        finder.boxes, finder.kept, finder.contacts = self._boxes, self._kept, contacts
+        finder.step, finder.geoms, finder.animated, finder.motion = step, geoms, animated, stage.motion
+        finder.boxes, finder.kept, finder.contacts = self._boxes, self._kept, self.contacts
+        bodies, joints = len(stage.bodies), stage.joints
+        to_bound = [step, geoms, animated, stage.motion, problem.start, self._boxes]
+        to_gather = [geoms, self.contacts, joints.joints, joints.count, bodies, self._islands]
         return [
-            prepare(
-                bound_geoms, geoms.count, [step, geoms, animated, motion, start, self._boxes], work_per_item=20
-            ),
+            prepare(bound_geoms, geoms.count, to_bound, work_per_item=20),
             prepare(order_geoms, 1, [geoms, self._boxes]),
-            prepare(
-                find_contacts,
-                geoms.count,
-                [finder],
-                work_per_item=FIND_WORK,
-            ),
-            prepare(find_islands, 1, [geoms, contacts, joints, stage.joints.count, bodies, islands]),
-            prepare(
-                solve_islands,
-                bodies,
-                [step, effort, geoms, islands, contacts, self._rows, joints, masses, motion, start, work],
-                work_per_item=SOLVE_WORK,
-            ),
+            prepare(find_contacts, geoms.count, [finder], work_per_item=FIND_WORK),
+            prepare(find_islands, 1, to_gather),
+            prepare(solve_islands, bodies, [problem], work_per_item=SOLVE_WORK),
         ]
+
+    def _problem(self) -> Problem:
+        stage, settings, problem = self._stage, self._model.settings.rigid, Problem()
+        problem.masses, problem.start, problem.work, problem.step = stage.parts
+        problem.effort.tolerance, problem.effort.exit_speed = settings.tolerance, settings.exit_speed
+        problem.effort.sweeps, problem.effort.passes = settings.iterations, settings.passes
+        problem.geoms, problem.islands, problem.motion = self.table.geoms, self._islands, stage.motion
+        problem.contacts, problem.rows, problem.joints = self.contacts, self._rows, stage.joints.joints
+        return problem
 
     # -- a substep -----------------------------------------------------------------------------------------
 

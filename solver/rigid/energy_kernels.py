@@ -10,21 +10,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from plait.solver.rigid.island_kernels import Islands, begin_of
 from plait.solver.rigid.joint_kernels import solve_joint, take_joint_where_it_is
-from plait.solver.rigid.joint_pose_kernels import Joints
-from plait.solver.rigid.motion_kernels import (
-    HALF,
-    ONE,
-    ZERO,
-    Masses,
-    Motion,
-    rotation_by,
-    turn_freely,
-    world_inverse,
-)
-from plait.solver.rigid.row_kernels import Rows, Work, carried_by, solve_contact
-from plait.solver.rigid.types import Contacts, Start
+from plait.solver.rigid.motion_kernels import HALF, ONE, ZERO, rotation_by, turn_freely, world_inverse
+from plait.solver.rigid.problem import Island, Problem
+from plait.solver.rigid.row_kernels import carried_by, solve_contact
 
 wp.set_module_options({"enable_backward": False})
 
@@ -33,176 +22,116 @@ MUCH = wp.constant(wp.float64(0.1))  # part of the energy
 
 
 @wp.func
-def note_motion(islands: Islands, motion: Motion, work: Work, r: int):
-    for i in range(begin_of(islands.body_begin, r), islands.body_begin[r]):
-        b = islands.body[i]
-        work.velocity[b] = motion.velocity[b]
-        work.angular_momentum[b] = motion.angular_momentum[b]
+def note_motion(p: Problem, at: Island):
+    """As it is before the impulses."""
+    for i in range(at.body_begin, at.body_end):
+        b = p.islands.body[i]
+        p.work.velocity[b] = p.motion.velocity[b]
+        p.work.angular_momentum[b] = p.motion.angular_momentum[b]
 
 
 @wp.func
-def turns_far(islands: Islands, work: Work, r: int, length: wp.float64) -> bool:
+def turns_far(p: Problem, at: Island) -> bool:
     """Whether a body of an island would turn far in the substep."""
     fastest = wp.float64(0.0)
-    for i in range(begin_of(islands.body_begin, r), islands.body_begin[r]):
-        fastest = wp.max(fastest, wp.length(work.spin[islands.body[i]]))
-    return length * fastest > FAR
+    for i in range(at.body_begin, at.body_end):
+        fastest = wp.max(fastest, wp.length(p.work.spin[p.islands.body[i]]))
+    return at.length * fastest > FAR
 
 
 @wp.func
 def kinetic_energy(
-    islands: Islands,
-    masses: Masses,
-    start: Start,
-    velocity: wp.array(dtype=wp.vec3d),
-    angular_momentum: wp.array(dtype=wp.vec3d),
-    r: int,
+    p: Problem, at: Island, velocity: wp.array(dtype=wp.vec3d), angular_momentum: wp.array(dtype=wp.vec3d)
 ) -> wp.float64:
-    """[J] of an island's bodies."""
+    """[J] of an island's bodies with these velocities and momenta, where they are."""
     energy = wp.float64(0.0)
-    for i in range(begin_of(islands.body_begin, r), islands.body_begin[r]):
-        b = islands.body[i]
-        spin = start.inertia_inverse[b] * angular_momentum[b]
-        energy += HALF * (masses.mass[b] * wp.length_sq(velocity[b]) + wp.dot(angular_momentum[b], spin))
+    for i in range(at.body_begin, at.body_end):
+        b = p.islands.body[i]
+        spin = p.start.inertia_inverse[b] * angular_momentum[b]
+        energy += HALF * (p.masses.mass[b] * wp.length_sq(velocity[b]) + wp.dot(angular_momentum[b], spin))
     return energy
 
 
 @wp.func
-def given_by_animation(islands: Islands, contacts: Contacts, rows: Rows, r: int, length: wp.float64) -> wp.float64:
-    """[J] the work of what the animation moves at an island's contacts."""
-    given = wp.float64(0.0)
-    for i in range(begin_of(islands.contact_begin, r), islands.contact_begin[r]):
-        c = islands.contact[i]
-        given -= wp.dot(wp.transpose(rows.axes[c]) * rows.impulse[c], carried_by(contacts, c, length))
+def given_energy(p: Problem, at: Island) -> wp.float64:
+    """[J] what an island had before the impulses, and by the work of what the animation moves."""
+    given = kinetic_energy(p, at, p.work.velocity, p.work.angular_momentum)
+    for i in range(at.contact_begin, at.contact_end):
+        c = p.islands.contact[i]
+        impulse = wp.transpose(p.rows.axes[c]) * p.rows.impulse[c]
+        given -= wp.dot(impulse, carried_by(p.contacts, c, at.length))
     return given
 
 
 @wp.func
-def gain_of(
-    islands: Islands,
-    contacts: Contacts,
-    rows: Rows,
-    masses: Masses,
-    motion: Motion,
-    start: Start,
-    work: Work,
-    r: int,
-    length: wp.float64,
-) -> wp.float64:
-    """[J] by how much the impulses have added to what the bodies had, and what the animation gave them."""
-    before = kinetic_energy(islands, masses, start, work.velocity, work.angular_momentum, r)
-    after = kinetic_energy(islands, masses, start, motion.velocity, motion.angular_momentum, r)
-    return after - before - given_by_animation(islands, contacts, rows, r, length)
-
-
-@wp.func
-def solve_where_they_are(
-    islands: Islands,
-    contacts: Contacts,
-    rows: Rows,
-    joints: Joints,
-    masses: Masses,
-    motion: Motion,
-    start: Start,
-    work: Work,
-    r: int,
-    length: wp.float64,
-    bound: wp.float64,
-    sweeps: int,
-    rough: bool,
-):
+def solve_where_they_are(p: Problem, at: Island, rough: bool) -> wp.float64:
     """An island's contacts and joints anew, without impulses to begin with nor what turning adds.
 
-    rough: with friction. Without, every step takes energy, so that sweeps may end anywhere.
+    rough: with friction. Without, every step takes energy, so that sweeps may end anywhere. Returns what the last
+    one changed.
     """
-    for i in range(begin_of(islands.body_begin, r), islands.body_begin[r]):
-        b = islands.body[i]
-        motion.velocity[b] = work.velocity[b]
-        motion.angular_momentum[b] = work.angular_momentum[b]
-        work.spin[b] = start.inertia_inverse[b] * motion.angular_momentum[b]
-    contact_begin = begin_of(islands.contact_begin, r)
-    contact_end = islands.contact_begin[r]
-    for i in range(contact_begin, contact_end):
-        c = islands.contact[i]
-        rows.impulse[c] = wp.vec3d()
-        rows.bias[c] = carried_by(contacts, c, length)
-        rows.least[c] = wp.min(-contacts.gap[c] / length, ZERO)
-    joint_begin = begin_of(islands.joint_begin, r)
-    joint_end = islands.joint_begin[r]
-    for i in range(joint_begin, joint_end):
-        take_joint_where_it_is(joints, motion, islands.joint[i], length)
-    for _ in range(sweeps):
+    for i in range(at.body_begin, at.body_end):
+        b = p.islands.body[i]
+        p.motion.velocity[b] = p.work.velocity[b]
+        p.motion.angular_momentum[b] = p.work.angular_momentum[b]
+        p.work.spin[b] = p.start.inertia_inverse[b] * p.motion.angular_momentum[b]
+    for i in range(at.contact_begin, at.contact_end):
+        c = p.islands.contact[i]
+        p.rows.impulse[c] = wp.vec3d()
+        p.rows.bias[c] = carried_by(p.contacts, c, at.length)
+        p.rows.least[c] = wp.min(-p.contacts.gap[c] / at.length, ZERO)
+    for i in range(at.joint_begin, at.joint_end):
+        take_joint_where_it_is(p.joints, p.motion, p.islands.joint[i], at.length)
+    change = wp.float64(0.0)
+    for _ in range(p.effort.sweeps):
         change = wp.float64(0.0)
-        for i in range(joint_begin, joint_end):
-            change = wp.max(change, solve_joint(joints, masses, motion, start, work.spin, islands.joint[i]))
-        for i in range(contact_begin, contact_end):
-            c = islands.contact[i]
-            friction = wp.where(rough, contacts.friction[c], ZERO)
-            change = wp.max(change, solve_contact(contacts, rows, masses, motion, start, work, c, friction))
-        if change <= bound:
+        for i in range(at.joint_begin, at.joint_end):
+            j = p.islands.joint[i]
+            change = wp.max(change, solve_joint(p.joints, p.masses, p.motion, p.start, p.work.spin, j))
+        for i in range(at.contact_begin, at.contact_end):
+            c = p.islands.contact[i]
+            friction = wp.where(rough, p.contacts.friction[c], ZERO)
+            changed = solve_contact(p.contacts, p.rows, p.masses, p.motion, p.start, p.work, c, friction)
+            change = wp.max(change, changed)
+        if change <= at.bound:
             break
+    return change
 
 
 @wp.func
-def hold_energy(
-    islands: Islands,
-    contacts: Contacts,
-    rows: Rows,
-    joints: Joints,
-    masses: Masses,
-    motion: Motion,
-    start: Start,
-    work: Work,
-    r: int,
-    length: wp.float64,
-    tolerance: wp.float64,
-    bound: wp.float64,
-    sweeps: int,
-):
+def hold_energy(p: Problem, at: Island):
     """Solves an island anew where its impulses have added more than a part of its energy.
 
     Joints give and take while they keep their places exactly, the more the further they turn, and drives and what
     the animation moves do work: with them only much is too much, and where they turn far.
     """
-    jointed = begin_of(islands.joint_begin, r) < islands.joint_begin[r]
-    if jointed and not turns_far(islands, work, r, length):
+    jointed = at.joint_begin < at.joint_end
+    if jointed and not turns_far(p, at):
         return
-    before = kinetic_energy(islands, masses, start, work.velocity, work.angular_momentum, r)
-    most = wp.where(jointed, MUCH, tolerance) * before
-    if gain_of(islands, contacts, rows, masses, motion, start, work, r, length) <= most:
-        return
+    part = ONE + wp.where(jointed, MUCH, p.effort.tolerance)
+    before = kinetic_energy(p, at, p.work.velocity, p.work.angular_momentum)
     for rough in range(1, -1, -1):
-        solve_where_they_are(
-            islands, contacts, rows, joints, masses, motion, start, work, r, length, bound, sweeps, rough == 1
-        )
-        if gain_of(islands, contacts, rows, masses, motion, start, work, r, length) <= most:
+        after = kinetic_energy(p, at, p.motion.velocity, p.motion.angular_momentum)
+        if after - (given_energy(p, at) - before) <= part * before:
             return
+        p.work.lack[at.root] = solve_where_they_are(p, at, rough == 1)
 
 
 @wp.func
-def gains_by_parting(
-    islands: Islands,
-    contacts: Contacts,
-    rows: Rows,
-    masses: Masses,
-    motion: Motion,
-    start: Start,
-    work: Work,
-    r: int,
-    length: wp.float64,
-    tolerance: wp.float64,
-) -> bool:
-    """Whether an island pushed apart ends with more energy than before its impulses: turned aside, a body spins
-    about other axes with the same momentum."""
-    if begin_of(islands.joint_begin, r) < islands.joint_begin[r]:
+def gains_by_parting(p: Problem, at: Island) -> bool:
+    """Whether an island pushed apart ends with more energy than it was given.
+
+    Turned aside, a body spins about other axes with the same momentum.
+    """
+    if at.joint_begin < at.joint_end:
         return False
     after = wp.float64(0.0)
-    for i in range(begin_of(islands.body_begin, r), islands.body_begin[r]):
-        b = islands.body[i]
-        momentum = motion.angular_momentum[b]
-        turned = turn_freely(motion.orientation[b], momentum, masses.inertia_inverse[b], length)
-        inverse = world_inverse(rotation_by(work.push_turn[b]) * turned, masses.inertia_inverse[b])
-        after += HALF * (masses.mass[b] * wp.length_sq(motion.velocity[b]) + wp.dot(momentum, inverse * momentum))
-    before = kinetic_energy(islands, masses, start, work.velocity, work.angular_momentum, r)
-    given = given_by_animation(islands, contacts, rows, r, length)
-    return after - given > (ONE + tolerance) * before
+    for i in range(at.body_begin, at.body_end):
+        b = p.islands.body[i]
+        inverse = p.masses.inertia_inverse[b]
+        momentum = p.motion.angular_momentum[b]
+        turned = turn_freely(p.motion.orientation[b], momentum, inverse, at.length)
+        spin = world_inverse(rotation_by(p.work.push_turn[b]) * turned, inverse) * momentum
+        after += HALF * (p.masses.mass[b] * wp.length_sq(p.motion.velocity[b]) + wp.dot(momentum, spin))
+    before = kinetic_energy(p, at, p.work.velocity, p.work.angular_momentum)
+    return after - given_energy(p, at) > p.effort.tolerance * before

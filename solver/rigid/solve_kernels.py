@@ -12,7 +12,6 @@ from __future__ import annotations
 import warp as wp
 
 from plait.solver.rigid.energy_kernels import gains_by_parting, hold_energy, note_motion, turns_far
-from plait.solver.rigid.island_kernels import Islands, begin_of
 from plait.solver.rigid.joint_kernels import (
     apply_rows,
     begin_joint,
@@ -23,11 +22,11 @@ from plait.solver.rigid.joint_kernels import (
     note_joint,
     solve_joint,
 )
-from plait.solver.rigid.joint_pose_kernels import Joints, vec6d
+from plait.solver.rigid.joint_pose_kernels import vec6d
 from plait.solver.rigid.motion_kernels import ZERO, Masses, Motion, rotation_by, turn_freely
-from plait.solver.rigid.overlap_kernels import Effort, part_overlaps, put_back
+from plait.solver.rigid.overlap_kernels import part_overlaps, put_back
+from plait.solver.rigid.problem import Island, Problem, island_of
 from plait.solver.rigid.row_kernels import (
-    Rows,
     Work,
     begin_contact,
     contact_change,
@@ -36,7 +35,7 @@ from plait.solver.rigid.row_kernels import (
     solve_contact,
 )
 from plait.solver.rigid.sleep_kernels import lay_down, may_sleep, wake, watch
-from plait.solver.rigid.types import Contacts, Geoms, Start, Step
+from plait.solver.rigid.types import Step
 
 # Unrolled, the joints' loops over rows would be most of the code.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -46,185 +45,176 @@ SLOW = wp.constant(wp.float64(2.0))
 
 
 @wp.func
-def sweep_until(
-    islands: Islands,
-    contacts: Contacts,
-    rows: Rows,
-    joints: Joints,
-    masses: Masses,
-    motion: Motion,
-    start: Start,
-    work: Work,
-    r: int,
-    bound: wp.float64,
-    sweeps: int,
-) -> wp.float64:
-    """Sweeps over an island until no speed changes by more than `bound` [m/s]; what the last one changed.
+def sweep(p: Problem, at: Island) -> wp.float64:
+    """Gauss and Seidel's, once over an island; the largest change of a speed [m/s]."""
+    change = wp.float64(0.0)
+    for i in range(at.joint_begin, at.joint_end):
+        note_joint(p.joints, p.islands.joint[i])
+    for i in range(at.contact_begin, at.contact_end):
+        p.rows.held[p.islands.contact[i]] = p.rows.impulse[p.islands.contact[i]]
+    for i in range(at.joint_begin, at.joint_end):
+        j = p.islands.joint[i]
+        change = wp.max(change, solve_joint(p.joints, p.masses, p.motion, p.start, p.work.spin, j))
+    for i in range(at.contact_begin, at.contact_end):
+        c = p.islands.contact[i]
+        friction = p.contacts.friction[c]
+        changed = solve_contact(p.contacts, p.rows, p.masses, p.motion, p.start, p.work, c, friction)
+        change = wp.max(change, changed)
+    p.work.sweeps[at.root] = p.work.sweeps[at.root] + 1
+    return change
+
+
+@wp.func
+def changed_by(p: Problem, at: Island) -> wp.float64:
+    """[J] a measure of what the last sweep has changed."""
+    change = wp.float64(0.0)
+    for i in range(at.joint_begin, at.joint_end):
+        change += joint_change(p.joints, p.islands.joint[i])
+    for i in range(at.contact_begin, at.contact_end):
+        change += contact_change(p.rows, p.islands.contact[i])
+    return change
+
+
+@wp.func
+def go_on(p: Problem, at: Island, part: wp.float64, fresh: bool):
+    """Takes `part` of the way that the sweeps so far have gone once more; `fresh`: there is none yet."""
+    for i in range(at.joint_begin, at.joint_end):
+        j = p.islands.joint[i]
+        if fresh:
+            p.joints.ahead[j] = vec6d()
+            p.joints.limit_ahead[j] = wp.vec2d()
+        carry_joint_on(p.joints, p.masses, p.motion, p.start, p.work.spin, j, part)
+    for i in range(at.contact_begin, at.contact_end):
+        c = p.islands.contact[i]
+        if fresh:
+            p.rows.ahead[c] = wp.vec3d()
+        ahead = part * p.rows.ahead[c]
+        p.rows.ahead[c] = ahead + p.rows.impulse[c] - p.rows.held[c]
+        if part > ZERO:
+            p.rows.impulse[c] = p.rows.impulse[c] + ahead
+            impulse = wp.transpose(p.rows.axes[c]) * ahead
+            give(p.contacts, p.masses, p.motion, p.start, p.work, c, impulse)
+
+
+@wp.func
+def solve_linear(p: Problem, at: Island):
+    """Sweeps over an island until no speed changes by more than the bound; notes what the last one changed.
 
     Between sweeps the impulses go on along conjugate directions, as Silcowitz-Hansen, Niebe and Erleben (2010)
     make them from what sweeps change: heavy things on light ones take Gauss and Seidel far too long.
     """
-    contact_begin = begin_of(islands.contact_begin, r)
-    contact_end = islands.contact_begin[r]
-    joint_begin = begin_of(islands.joint_begin, r)
-    joint_end = islands.joint_begin[r]
-    change = ZERO
-    before = ZERO
-    for sweep in range(sweeps):
-        change = ZERO
-        for i in range(joint_begin, joint_end):
-            note_joint(joints, islands.joint[i])
-        for i in range(contact_begin, contact_end):
-            rows.held[islands.contact[i]] = rows.impulse[islands.contact[i]]
-        for i in range(joint_begin, joint_end):
-            change = wp.max(change, solve_joint(joints, masses, motion, start, work.spin, islands.joint[i]))
-        for i in range(contact_begin, contact_end):
-            c = islands.contact[i]
-            friction = contacts.friction[c]
-            change = wp.max(change, solve_contact(contacts, rows, masses, motion, start, work, c, friction))
-        work.sweeps[r] = work.sweeps[r] + 1
-        if change <= bound or sweep == sweeps - 1:
+    before = wp.float64(0.0)
+    for k in range(p.effort.sweeps):
+        change = sweep(p, at)
+        p.work.lack[at.root] = change
+        if change <= at.bound or k == p.effort.sweeps - 1:
             break
-        now = ZERO
-        for i in range(joint_begin, joint_end):
-            now += joint_change(joints, islands.joint[i])
-        for i in range(contact_begin, contact_end):
-            now += contact_change(rows, islands.contact[i])
-        part = ZERO
-        if sweep > 0 and now < before:
+        now = changed_by(p, at)
+        part = wp.float64(0.0)
+        if k > 0 and now < before:
             part = now / before
-        for i in range(joint_begin, joint_end):
-            if sweep == 0:
-                joints.ahead[islands.joint[i]] = vec6d()
-                joints.limit_ahead[islands.joint[i]] = wp.vec2d()
-            carry_joint_on(joints, masses, motion, start, work.spin, islands.joint[i], part)
-        for i in range(contact_begin, contact_end):
-            c = islands.contact[i]
-            if sweep == 0:
-                rows.ahead[c] = wp.vec3d()
-            ahead = part * rows.ahead[c]
-            rows.ahead[c] = ahead + rows.impulse[c] - rows.held[c]
-            if part > ZERO:
-                rows.impulse[c] = rows.impulse[c] + ahead
-                give(contacts, masses, motion, start, work, c, wp.transpose(rows.axes[c]) * ahead)
+        go_on(p, at, part, k == 0)
         before = now
+
+
+@wp.func
+def begin(p: Problem, at: Island) -> wp.float64:
+    """Rows of contacts and joints, and the impulses of the substep before given again; the bound of the solve."""
+    step = p.step[0]
+    fastest = at.length * wp.length(step.gravity)
+    for i in range(at.body_begin, at.body_end):
+        b = p.islands.body[i]
+        p.work.spin[b] = p.start.inertia_inverse[b] * p.motion.angular_momentum[b]
+        fastest = wp.max(fastest, wp.length(p.motion.velocity[b]))
+    note_motion(p, at)
+    for i in range(at.joint_begin, at.joint_end):
+        j = p.islands.joint[i]
+        begin_joint(p.joints, p.masses, p.motion, p.start, j, at.length, at.exit_distance)
+        apply_rows(p.joints, p.masses, p.motion, p.start, p.work.spin, j, p.joints.impulse[j])
+        p.joints.limit_impulse[j] = wp.vec2d()
+    for i in range(at.contact_begin, at.contact_end):
+        begin_contact(p.contacts, p.rows, p.masses, p.motion, p.start, p.work, p.islands.contact[i], step)
+    return p.effort.tolerance * fastest
+
+
+@wp.func
+def look_ahead(p: Problem, at: Island) -> wp.float64:
+    """Takes what turning adds anew; by how much that has changed [m/s], [1/s]."""
+    for i in range(at.body_begin, at.body_end):
+        b = p.islands.body[i]
+        p.work.turned[b] = turn_freely(
+            p.motion.orientation[b], p.motion.angular_momentum[b], p.masses.inertia_inverse[b], at.length
+        )
+    change = wp.float64(0.0)
+    for i in range(at.contact_begin, at.contact_end):
+        c = p.islands.contact[i]
+        change = wp.max(change, look_at_contact(p.contacts, p.rows, p.motion, p.work, c, at.length))
+    for i in range(at.joint_begin, at.joint_end):
+        j = p.islands.joint[i]
+        lack = look_at_joint(p.joints, p.motion, p.work.spin, p.work.turned, j, at.length, at.exit_distance)
+        change = wp.max(change, lack)
     return change
 
 
-@wp.kernel
-def solve_islands(
-    first: int,
-    step_at: wp.array(dtype=Step),
-    effort: Effort,
-    geoms: Geoms,
-    islands: Islands,
-    contacts: Contacts,
-    rows: Rows,
-    joints: Joints,
-    masses: Masses,
-    motion: Motion,
-    start: Start,
-    work: Work,
-):
-    """All of an island's impulses; one body an item, the island's own one works."""
-    r = first + wp.tid()
-    work.sweeps[r] = 0
-    work.lack[r] = ZERO
-    if islands.root[r] != r:
-        return
-    body_begin = begin_of(islands.body_begin, r)
-    body_end = islands.body_begin[r]
-    for i in range(body_begin, body_end):
-        b = islands.body[i]
-        work.push[b] = wp.vec3d()
-        work.push_turn[b] = wp.vec3d()
-    step = step_at[0]
-    if may_sleep(islands, contacts, motion, r):
-        lay_down(islands, motion, r)
-        return
-    wake(islands, motion, r, step.length * step.gravity)
-    contact_begin = begin_of(islands.contact_begin, r)
-    contact_end = islands.contact_begin[r]
-    joint_begin = begin_of(islands.joint_begin, r)
-    joint_end = islands.joint_begin[r]
-    if contact_begin == contact_end and joint_begin == joint_end:
-        return
-    length = step.length
-    exit_distance = effort.exit_speed * length
-    fastest = length * wp.length(step.gravity)
-    for i in range(body_begin, body_end):
-        b = islands.body[i]
-        work.spin[b] = start.inertia_inverse[b] * motion.angular_momentum[b]
-        fastest = wp.max(fastest, wp.length(motion.velocity[b]))
-    bound = effort.tolerance * fastest
-    note_motion(islands, motion, work, r)
-    for i in range(joint_begin, joint_end):
-        j = islands.joint[i]
-        begin_joint(joints, masses, motion, start, j, length, exit_distance)
-        apply_rows(joints, masses, motion, start, work.spin, j, joints.impulse[j])
-        joints.limit_impulse[j] = wp.vec2d()
-    for i in range(contact_begin, contact_end):
-        begin_contact(contacts, rows, masses, motion, start, work, islands.contact[i], step)
+@wp.func
+def rebounds(p: Problem, at: Island) -> bool:
+    """Whether a contact is an impact with restitution; it is then to part as fast as Newton's law says."""
+    slow = SLOW * at.length * wp.length(p.step[0].gravity)
+    some = wp.bool(False)
+    for i in range(at.contact_begin, at.contact_end):
+        c = p.islands.contact[i]
+        if p.contacts.restitution[c] > ZERO and p.rows.impulse[c][0] > ZERO and p.rows.struck[c] < -slow:
+            p.rows.least[c] = -p.contacts.restitution[c] * p.rows.struck[c]
+            some = wp.bool(True)
+    return some
+
+
+@wp.func
+def solve(p: Problem, at: Island):
+    """The impulses of an island whose rows are begun."""
     # What turns far is held to first order before what turning adds is found: where a whole turn leads back to,
     # there would be nothing to hold.
-    if turns_far(islands, work, r, length):
-        for i in range(joint_begin, joint_end):
-            loosen_joint(joints, islands.joint[i])
-        work.lack[r] = sweep_until(
-            islands, contacts, rows, joints, masses, motion, start, work, r, bound, effort.sweeps
-        )
-    for k in range(effort.passes):
-        for i in range(body_begin, body_end):
-            b = islands.body[i]
-            work.turned[b] = turn_freely(
-                motion.orientation[b], motion.angular_momentum[b], masses.inertia_inverse[b], length
-            )
-        change = ZERO
-        for i in range(contact_begin, contact_end):
-            change = wp.max(change, look_at_contact(contacts, rows, motion, work, islands.contact[i], length))
-        for i in range(joint_begin, joint_end):
-            j = islands.joint[i]
-            change = wp.max(
-                change, look_at_joint(joints, motion, work.spin, work.turned, j, length, exit_distance)
-            )
-        if k > 0 and change <= bound:
+    if turns_far(p, at):
+        for i in range(at.joint_begin, at.joint_end):
+            loosen_joint(p.joints, p.islands.joint[i])
+        solve_linear(p, at)
+    for k in range(p.effort.passes):
+        change = look_ahead(p, at)
+        if k > 0 and change <= at.bound:
             break
-        work.lack[r] = sweep_until(
-            islands, contacts, rows, joints, masses, motion, start, work, r, bound, effort.sweeps
-        )
-    rebounds = wp.int32(0)
-    slow = SLOW * length * wp.length(step.gravity)
-    for i in range(contact_begin, contact_end):
-        c = islands.contact[i]
-        if contacts.restitution[c] > ZERO and rows.impulse[c][0] > ZERO and rows.struck[c] < -slow:
-            rows.least[c] = -contacts.restitution[c] * rows.struck[c]
-            rebounds = wp.int32(1)
-    if rebounds == 1:
-        work.lack[r] = sweep_until(
-            islands, contacts, rows, joints, masses, motion, start, work, r, bound, effort.sweeps
-        )
-    hold_energy(
-        islands,
-        contacts,
-        rows,
-        joints,
-        masses,
-        motion,
-        start,
-        work,
-        r,
-        length,
-        effort.tolerance,
-        bound,
-        effort.sweeps,
-    )
-    if part_overlaps(islands, contacts, rows, geoms, masses, start, motion, work, r, step, effort):
-        if gains_by_parting(islands, contacts, rows, masses, motion, start, work, r, length, effort.tolerance):
-            put_back(islands, contacts, rows, motion, work, r)
-    for i in range(contact_begin, contact_end):
-        c = islands.contact[i]
-        contacts.impulse[c] = wp.transpose(rows.axes[c]) * rows.impulse[c]
-    work.lack[r] = work.lack[r] / wp.max(bound, wp.float64(1e-300))
+        solve_linear(p, at)
+    if rebounds(p, at):
+        solve_linear(p, at)
+    hold_energy(p, at)
+
+
+@wp.kernel
+def solve_islands(first: int, p: Problem):
+    """All of an island's impulses; one body an item, the island's own one works."""
+    r = first + wp.tid()
+    p.work.sweeps[r] = 0
+    p.work.lack[r] = ZERO
+    if p.islands.root[r] != r:
+        return
+    at = island_of(p, r)
+    for i in range(at.body_begin, at.body_end):
+        p.work.push[p.islands.body[i]] = wp.vec3d()
+        p.work.push_turn[p.islands.body[i]] = wp.vec3d()
+    if may_sleep(p.islands, p.contacts, p.motion, r):
+        lay_down(p.islands, p.motion, r)
+        return
+    wake(p.islands, p.motion, r, at.length * p.step[0].gravity)
+    if at.contact_begin == at.contact_end and at.joint_begin == at.joint_end:
+        return
+    at.bound = begin(p, at)
+    solve(p, at)
+    if part_overlaps(p, at):
+        if gains_by_parting(p, at):
+            put_back(p, at)
+    for i in range(at.contact_begin, at.contact_end):
+        c = p.islands.contact[i]
+        p.contacts.impulse[c] = wp.transpose(p.rows.axes[c]) * p.rows.impulse[c]
+    p.work.lack[r] = p.work.lack[r] / wp.max(at.bound, wp.float64(1e-300))
 
 
 @wp.kernel
