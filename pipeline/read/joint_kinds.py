@@ -46,22 +46,22 @@ def take_drafts(source: Source) -> None:
             prim.SetTypeName(DRAFTS[name])
 
 
-def drawn_kind(prim: Usd.Prim) -> Drawn | None:
-    """None for a joint that is none of the solver's: a generic one of other freedoms."""
+def drawn_kind(source: Source, prim: Usd.Prim) -> Drawn | None:
+    """At the first frame; None for a joint that is none of the solver's: a generic one of other freedoms."""
     name = str(prim.GetTypeName())
     if name == "PhysicsJoint":
-        return _generic(prim)
+        return _generic(source, prim)
     if name not in KINDS:
         return None
     kind = KINDS[name]
     if kind == "distance":
         return Drawn(kind, "", "physics:minDistance", "physics:maxDistance")
-    axis = "" if kind == "fixed" else str(prim.GetAttribute("physics:axis").Get())
+    axis = "" if kind == "fixed" else str(prim.GetAttribute("physics:axis").Get(source.start))
     return Drawn(kind, axis, drive={"revolute": "angular", "prismatic": "linear"}.get(kind, ""))
 
 
-def _generic(prim: Usd.Prim) -> Drawn | None:
-    free = [freedom for freedom in (*WAYS, *TURNS) if not _locked(prim, freedom)]
+def _generic(source: Source, prim: Usd.Prim) -> Drawn | None:
+    free = [freedom for freedom in (*WAYS, *TURNS) if not _locked(source, prim, freedom)]
     if not free:
         return Drawn("fixed")
     if len(free) == 1:
@@ -71,9 +71,9 @@ def _generic(prim: Usd.Prim) -> Drawn | None:
     return Drawn("spherical", "Z") if free == list(TURNS) and unlimited else None
 
 
-def _locked(prim: Usd.Prim, freedom: str) -> bool:
+def _locked(source: Source, prim: Usd.Prim, freedom: str) -> bool:
     """As UsdPhysics has it: a lower limit above the upper one."""
     if not prim.HasAPI(UsdPhysics.LimitAPI, freedom):
         return False
     limit = UsdPhysics.LimitAPI(prim, freedom)
-    return limit.GetLowAttr().Get() > limit.GetHighAttr().Get()
+    return limit.GetLowAttr().Get(source.start) > limit.GetHighAttr().Get(source.start)

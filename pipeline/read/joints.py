@@ -48,6 +48,7 @@ def is_joint(prim: Usd.Prim) -> bool:
 
 def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
     joint = UsdPhysics.Joint(prim)
+    source.tell_if_animated(joint.GetJointEnabledAttr())
     if joint.GetJointEnabledAttr().Get(source.start) is False:
         return None
     holders = [_holder(source, prim, relation) for relation in (joint.GetBody0Rel(), joint.GetBody1Rel())]
@@ -55,7 +56,7 @@ def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
     if bodies[0] == bodies[1]:
         source.warn("holds no simulated body to another or to the world; left out", prim)
         return None
-    held = drawn_kind(prim)
+    held = drawn_kind(source, prim)
     if held.kind in ("revolute", "prismatic", "spherical") and prim.HasAttribute("physics:axis"):
         checked_axis(source, prim.GetAttribute("physics:axis"))
     turn = turn_from_z(held.axis) if held.axis else np.eye(3)
@@ -135,6 +136,8 @@ def _limits(source: Source, prim: Usd.Prim, held: Drawn) -> tuple[float, float] 
         return None
     attributes = [prim.GetAttribute(name) for name in (held.lower, held.upper)]
     values = [attribute.Get(source.start) if attribute else None for attribute in attributes]
+    for attribute in attributes:
+        source.tell_if_animated(attribute)
     lower, upper = (
         none if value is None else float(value) for value, none in zip(values, (-np.inf, np.inf), strict=True)
     )
@@ -151,6 +154,9 @@ def _limits(source: Source, prim: Usd.Prim, held: Drawn) -> tuple[float, float] 
         return None
     if lower > 180.0 or upper < -180.0:
         raise source.error(f"is {lower:g}", prim, held.lower, "author limits within half a turn")
+    for name, limit in ((held.lower, lower), (held.upper, upper)):
+        if abs(limit) > 180.0:
+            source.warn(f"is {limit:g}, beyond half a turn; {np.copysign(180.0, limit):g} holds", prim, name)
     return float(np.radians(max(lower, -180.0))), float(np.radians(min(upper, 180.0)))
 
 

@@ -34,6 +34,7 @@ class Role:
     carries: strands may grow on it though it has no role: a visible mesh.
     rides: path of the TetMesh in whose tets it is drawn, '' for none: a deformable body's other meshes.
     body: path of the prim whose transform says where it is, '' for what is part of no simulated rigid body.
+    touches: False for a body of UsdPhysics whose own shape is no collider.
     """
 
     prim: Usd.Prim
@@ -45,14 +46,13 @@ class Role:
     carries: bool = False
     rides: str = ""
     body: str = ""
+    touches: bool = True
 
     @property
     def collides(self) -> bool:
         """Whether strands collide with it; also with what is skipped by its own physics: it stays where it is."""
-        if not is_solid(self.prim) or self.role not in ("collider", PROP, "flesh", "cloth", "rigid") or self.rides:
-            return False
-        by_physics = self.role in ("rigid", PROP) and not self.recognised.startswith("plait:role")
-        return not by_physics or has_collision(self.prim)
+        meets = self.role in ("collider", PROP, "flesh", "cloth", "rigid")
+        return is_solid(self.prim) and meets and self.touches and not self.rides
 
 
 def assign(source: Source, skeletons: Skeletons) -> list[Role]:
@@ -76,11 +76,6 @@ def is_solid(prim: Usd.Prim) -> bool:
 def is_granular(prim: Usd.Prim) -> bool:
     """Whether a prim of this type can be filled with grains, pour them, or is grains."""
     return is_solid(prim) or prim.IsA(UsdGeom.Points)
-
-
-def has_collision(prim: Usd.Prim) -> bool:
-    enabled = prim.GetAttribute("physics:collisionEnabled")
-    return "PhysicsCollisionAPI" in applied_schemas(prim) and (not enabled or enabled.Get() is not False)
 
 
 class _Assignment:
@@ -117,13 +112,13 @@ class _Assignment:
         if (
             is_solid(prim)
             and "PhysicsCollisionAPI" in schemas
-            and (has_collision(prim) or RIGID_BODY not in schemas)
+            and (RIGID_BODY not in schemas or self._enabled(prim, "physics:collisionEnabled"))
         ):
             return self._collision_role(prim)
         if "PhysicsRigidBodyAPI" in schemas and self._enabled(prim, "physics:rigidBodyEnabled"):
             if self._is_kinematic(prim):
-                return Role(prim, PROP, f"{RIGID_BODY}, kinematicEnabled")
-            return Role(prim, "rigid", RIGID_BODY, body=str(prim.GetPath()))
+                return Role(prim, PROP, f"{RIGID_BODY}, kinematicEnabled", touches=False)
+            return Role(prim, "rigid", RIGID_BODY, body=str(prim.GetPath()), touches=False)
         if prim.IsA(UsdPhysics.Joint):
             return Role(prim, "rigid", str(prim.GetTypeName()))
         return None
@@ -205,13 +200,17 @@ class _Assignment:
         return Role(prim, "rigid", f"PhysicsRigidBodyAPI{where}", body=str(holder.GetPath()))
 
     def _enabled(self, prim: Usd.Prim, name: str) -> bool:
-        attribute = prim.GetAttribute(name)
-        value = attribute.Get(self._source.start) if attribute else None
-        return True if value is None else bool(value)
+        return self._switch(prim, name, True)
 
     def _is_kinematic(self, prim: Usd.Prim) -> bool:
-        attribute = prim.GetAttribute("physics:kinematicEnabled")
-        return bool(attribute and attribute.Get(self._source.start))
+        return self._switch(prim, "physics:kinematicEnabled", False)
+
+    def _switch(self, prim: Usd.Prim, name: str, unauthored: bool) -> bool:
+        """A bool of UsdPhysics at the first frame."""
+        attribute = prim.GetAttribute(name)
+        value = attribute.Get(self._source.start) if attribute else None
+        self._source.tell_if_animated(attribute)
+        return unauthored if value is None else bool(value)
 
     # --- implied ----------------------------------------------------------------------------------------------
 
@@ -285,7 +284,7 @@ class _Assignment:
     def _checked_rigid(self, role: Role) -> Role:
         prim = role.prim
         if prim.IsA(UsdPhysics.Joint):
-            known = drawn_kind(prim) is not None
+            known = drawn_kind(self._source, prim) is not None
             return (
                 role if known else replace(role, reason=f"{prim.GetTypeName()} is not simulated", supported=False)
             )

@@ -174,6 +174,43 @@ def test_a_generic_joint_is_what_its_limits_leave_free(free: tuple[str, ...], ki
         np.testing.assert_allclose(joint.frames[0][:3, 2], [-axis[1], axis[0], axis[2]], atol=1e-7)
 
 
+def test_limits_with_samples_alone_count(read) -> None:
+    """A generic joint is what its limits are at the first frame, also where they have no default."""
+    freedoms = [f"{what}{axis}" for what in ("trans", "rot") for axis in "XYZ"]
+    applied = ", ".join(f'"PhysicsLimitAPI:{freedom}"' for freedom in freedoms)
+    lines = "\n".join(
+        f"float limit:{freedom}:physics:low.timeSamples = {{ 1: 1 }}\n"
+        f"float limit:{freedom}:physics:high.timeSamples = {{ 1: -1 }}"
+        for freedom in freedoms
+    )
+    joint = _only(read(BOTH + _joint("", lines).replace('"J"', f'"J" (prepend apiSchemas = [{applied}])')))
+    assert joint.kind == "fixed"
+
+
+def test_limits_beyond_half_a_turn_are_told(read) -> None:
+    """What a hinge cannot count is held at half a turn, and said; a whole turn either way is no limit."""
+    limits = "float physics:lowerLimit = {}\nfloat physics:upperLimit = {}"
+    shot = read(BOTH + _joint("Revolute", limits.format(-10, 270)))
+    assert _only(shot).limits == pytest.approx((np.radians(-10), np.pi))
+    assert any("physics:upperLimit" in line and "270" in line for line in shot.warnings)
+    shot = read(BOTH + _joint("Revolute", limits.format(-360, 360)))
+    assert _only(shot).limits is None and not any("Limit" in line for line in shot.warnings)
+
+
+def test_switches_that_are_animated_are_told(read) -> None:
+    """They are read at the first frame, by their samples where they have no default."""
+    switch = "bool {}.timeSamples = {{ 1: {}, 5: {} }}"
+    joined = read(BOTH + _joint("Fixed", switch.format("physics:jointEnabled", 1, 0)))
+    assert joined.scene.joints and any("physics:jointEnabled" in line for line in joined.warnings)
+    kinematic = read(_cube("A", 100, switch.format("physics:kinematicEnabled", 1, 0)) + _cube("B", 800))
+    assert len(kinematic.scene.rigid_bodies) == 1
+    assert any("</A> physics:kinematicEnabled: is animated" in line for line in kinematic.warnings)
+    appears = read(
+        _cube("A", 100, "bool physics:collisionEnabled = 0\n" + switch.format("physics:collisionEnabled", 1, 1))
+    )
+    assert len(appears.scene.surfaces) == 1 and appears.scene.surfaces[0].collides
+
+
 def test_a_generic_joint_of_other_freedoms_is_refused(read) -> None:
     shot = read(BOTH + _joint(""))
     (prim,) = [prim for prim in shot.prims if prim.path == "/J"]
