@@ -95,6 +95,7 @@ class _Reader:
             rigid_start=heaps.start,
         )
         tell_of_skipped(self.source, self.roles)
+        self._tell_of_emitters_on_props(props, heaps)
         told = describe(scene.rigid_bodies, scene.joints)
         reports = tuple(self._report(role, carrying, grooms, tissues, heaps, told) for role in self.roles)
         meshes = (*(tissue.output for tissue in tissues.values()), *self._riders(tissues))
@@ -216,6 +217,13 @@ class _Reader:
                     carried = body.surface.rigid is not None
                     surfaces.append(body.surface if carried else self._with_contact(body))
         return surfaces + hidden, carrying
+
+    def _tell_of_emitters_on_props(self, props: Props, heaps: Heaps) -> None:
+        for granular in heaps.granular:
+            prop = props.carrying(granular.name)
+            if granular.emitter is not None and prop is not None:
+                text = f"pours from where the shot has it: it does not move with the simulated {props.paths[prop]}"
+                self.source.warn(text, granular.name, "plait:rate")
 
     def _tell_of_animated_roots(self, groom: Groom, tissues: dict[str, Tissue]) -> None:
         """Strands that grow on several skins, or were drawn in a pose, follow the animation of these."""
