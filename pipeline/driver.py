@@ -128,9 +128,9 @@ class _Run:
         if late > 0.0 and (scene.rigid_bodies or scene.granular):
             self.progress.log(
                 "warning",
-                text=f"rigid bodies and grains start at frame {self.begin:g}, not at the shot's first, "
-                f"{self.shot.info.start:g}: frame {frames.start:g} is that of a run of the whole shot with --preroll "
-                f"{self.config.preroll + math.ceil(late)} or more",
+                text=f"rigid bodies and grains start at frame {self.begin:g}, not at {self.shot.info.start:g}, the "
+                f"shot's first: frame {frames.start:g} is that of a run of the whole shot with "
+                f"--preroll {self.config.preroll + math.ceil(late)} or more",
             )
 
     def _build(self) -> Simulation:
