@@ -128,8 +128,8 @@ class _Run:
         if late > 0.0 and (scene.rigid_bodies or scene.granular):
             self.progress.log(
                 "warning",
-                text=f"rigid bodies and grains start at frame {self.begin:g}, not at {self.shot.info.start:g}, the "
-                f"shot's first: frame {frames.start:g} is that of a run of the whole shot with "
+                text=f"rigid bodies and grains start at frame {self.begin:g}, after the first of the shot, "
+                f"{self.shot.info.start:g}: frame {frames.start:g} is that of a run of the whole shot with "
                 f"--preroll {self.config.preroll + math.ceil(late)} or more",
             )
 
