@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -84,6 +85,7 @@ class _Run:
         self.shot, self.output, self.config, self.progress = shot, output, config, progress
         self.resuming = resume
         self.begin, self.legs = schedule(frames, config.preroll, config.solver.substeps, config.output.shutter)
+        self._tell_of_late_begin(frames)
         self.fingerprint = provenance.fingerprint(config, repr(frames), shot.layers)
         made = {**provenance.describe(config), "run": self.fingerprint}
         self.writer = CacheWriter(
@@ -119,6 +121,17 @@ class _Run:
                 return self._loop(simulation, self._resume(simulation), stop)
         finally:
             simulation.close()
+
+    def _tell_of_late_begin(self, frames: FrameRange) -> None:
+        """What falls from the shot's first frame on is elsewhere where the run begins later."""
+        scene, late = self.shot.scene, self.begin - self.shot.info.start
+        if late > 0.0 and (scene.rigid_bodies or scene.granular):
+            self.progress.log(
+                "warning",
+                text=f"rigid bodies and grains start at frame {self.begin:g}, after the first of the shot, "
+                f"{self.shot.info.start:g}: frame {frames.start:g} is that of a run of the whole shot with "
+                f"--preroll {self.config.preroll + math.ceil(late)} or more",
+            )
 
     def _build(self) -> Simulation:
         self.progress.phase("compiling")

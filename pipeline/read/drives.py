@@ -60,6 +60,5 @@ def _number(source: Source, api: UsdPhysics.DriveAPI, name: str) -> float:
     if np.isnan(value) or (target and not np.isfinite(value)) or (not target and value < 0.0):
         mend = "author a finite number" if target else "author 0 or more"
         raise source.error(f"is {value:g}", attribute.GetPrim(), attribute.GetName(), mend)
-    if attribute.ValueMightBeTimeVarying():
-        source.warn("is animated; its value at the first frame holds", attribute.GetPrim(), attribute.GetName())
+    source.tell_if_animated(attribute)
     return value

@@ -47,7 +47,7 @@ def take_drafts(source: Source) -> None:
 
 
 def drawn_kind(source: Source, prim: Usd.Prim) -> Drawn | None:
-    """None for a joint that is none of the solver's: a generic one of other freedoms."""
+    """At the first frame; None for a joint that is none of the solver's: a generic one of other freedoms."""
     name = str(prim.GetTypeName())
     if name == "PhysicsJoint":
         return _generic(source, prim)
@@ -56,7 +56,7 @@ def drawn_kind(source: Source, prim: Usd.Prim) -> Drawn | None:
     kind = KINDS[name]
     if kind == "distance":
         return Drawn(kind, "", "physics:minDistance", "physics:maxDistance")
-    axis = "" if kind == "fixed" else str(prim.GetAttribute("physics:axis").Get())
+    axis = "" if kind == "fixed" else str(prim.GetAttribute("physics:axis").Get(source.start))
     return Drawn(kind, axis, drive={"revolute": "angular", "prismatic": "linear"}.get(kind, ""))
 
 

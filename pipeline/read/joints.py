@@ -51,6 +51,7 @@ def is_joint(prim: Usd.Prim) -> bool:
 
 def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
     joint = UsdPhysics.Joint(prim)
+    source.tell_if_animated(joint.GetJointEnabledAttr())
     if joint.GetJointEnabledAttr().Get(source.start) is False:
         return None
     holders = [_holder(source, prim, relation) for relation in (joint.GetBody0Rel(), joint.GetBody1Rel())]
@@ -141,6 +142,8 @@ def _limits(source: Source, prim: Usd.Prim, held: Drawn) -> tuple[float, float] 
         return None
     attributes = [prim.GetAttribute(name) for name in (held.lower, held.upper)]
     values = [attribute.Get(source.start) if attribute else None for attribute in attributes]
+    for attribute in attributes:
+        source.tell_if_animated(attribute)
     lower, upper = (
         none if value is None else float(value) for value, none in zip(values, (-np.inf, np.inf), strict=True)
     )

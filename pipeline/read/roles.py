@@ -212,20 +212,17 @@ class _Assignment:
         return body
 
     def _enabled(self, prim: Usd.Prim, name: str) -> bool:
-        value = self._switch(prim, name)
-        return True if value is None else bool(value)
+        return self._switch(prim, name, True)
 
     def _is_kinematic(self, prim: Usd.Prim) -> bool:
-        return bool(self._switch(prim, "physics:kinematicEnabled"))
+        return self._switch(prim, "physics:kinematicEnabled", False)
 
-    def _switch(self, prim: Usd.Prim, name: str) -> bool | None:
-        """At the first frame; None where nothing says."""
+    def _switch(self, prim: Usd.Prim, name: str, unauthored: bool) -> bool:
+        """A bool of UsdPhysics at the first frame."""
         attribute = prim.GetAttribute(name)
-        if not attribute:
-            return None
-        if attribute.ValueMightBeTimeVarying() and len({attribute.Get(t) for t in attribute.GetTimeSamples()}) > 1:
-            self._source.warn("is animated; its value at the first frame holds", prim, name)
-        return attribute.Get(self._source.start)
+        value = attribute.Get(self._source.start) if attribute else None
+        self._source.tell_if_animated(attribute)
+        return unauthored if value is None else bool(value)
 
     # --- implied ----------------------------------------------------------------------------------------------
 

@@ -59,6 +59,12 @@ class Source:
         if line not in self.warnings:
             self.warnings.append(line)
 
+    def tell_if_animated(self, attribute: Usd.Attribute) -> None:
+        """Of an attribute that is read at the first frame alone."""
+        if attribute and attribute.ValueMightBeTimeVarying():
+            text = "is animated; its value at the first frame holds"
+            self.warn(text, attribute.GetPrim(), attribute.GetName())
+
     # --- time and place ---------------------------------------------------------------------------------------
 
     def code(self, time: float) -> float:

@@ -126,11 +126,13 @@ def read_body(source: Source, prim: Usd.Prim, binding: SkeletonBinding | None) -
     """Raises InputError for meshes whose counts and indices do not fit, or whose values are not finite."""
     polygons = read_polygons(source, prim)
     points = polygons.points
-    triangles, face_of = triangulate(points, polygons.counts, polygons.indices, polygons.left_handed)
+    moved = bind(source, prim, points, binding)
+    # What mirrors turns faces inside out.
+    turned = polygons.left_handed != (np.linalg.det(moved.own_to_rest[:3, :3]) < 0.0)
+    triangles, face_of = triangulate(points, polygons.counts, polygons.indices, turned)
     if not len(triangles):
         source.warn("has no triangle with an area; left out", prim, "faceVertexIndices")
         return None
-    moved = bind(source, prim, points, binding)
     kept, welded = weld(moved.surface.points, triangles, moved.attached)
     surface = moved.keep(kept, welded[triangles])
     # A triangle may have lost its area by welding; its face keeps its others.

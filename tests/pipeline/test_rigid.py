@@ -92,6 +92,20 @@ def test_they_do_not_fall_in_the_preroll(result: tuple[Path, Path], tmp_path: Pa
             np.testing.assert_array_equal(_world(out, prim, code), _world(without, prim, code))
 
 
+def test_a_run_that_begins_too_late_is_told(
+    result: tuple[Path, Path], tmp_path: Path, capfd: pytest.CaptureFixture
+) -> None:
+    """From frame 3 a body has fallen only if the run comes by the shot's first: two more frames of pre-roll."""
+    shot, whole = result
+    out = tmp_path / "out.usda"
+    assert _sim(shot, out, "-f", "3") == EXIT_DONE
+    assert "--preroll 2" in capfd.readouterr().err
+    assert _sim(shot, out, "-f", "3", "--preroll", "2", "--overwrite") == EXIT_DONE
+    assert "--preroll" not in capfd.readouterr().err
+    for prim in (BALL, BRICK):
+        np.testing.assert_array_equal(_world(out, prim, 3), _world(whole, prim, 3))
+
+
 def test_bodies_fall_in_the_world_not_with_their_group(result: tuple[Path, Path]) -> None:
     """x = x0 + g t^2 / 2, which any step of a rigid body's exact free flight gives."""
     shot, out = result

@@ -206,6 +206,16 @@ def test_more_than_passes_is_told(read) -> None:
     assert any("more than pass its box" in warning for warning in read(tap).warnings)
 
 
+def test_an_emitter_on_a_prop_is_told(read) -> None:
+    """It stays where the shot has it, while the prop falls."""
+    tap = _prim("Cube", "float plait:rate = 100", name="Tap")
+    prop = 'def Cube "Prop" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"])\n{{\n{}\n}}\n'
+    assert any(
+        "/Prop/Tap" in warning and "does not move" in warning for warning in read(prop.format(tap)).warnings
+    )
+    assert not any("does not move" in warning for warning in read(prop.format("") + tap).warnings)
+
+
 def test_grains_start_with_the_shot_or_the_frames_to_write(write) -> None:
     path = write(_box("float plait:spacing = 4"))
     for frames, first in ((None, 1), ((4, 8), 1), ((-3, 8), -3)):

@@ -210,6 +210,20 @@ def test_a_generic_joint_is_locked_by_samples_too(read) -> None:
     assert joint.kind == "fixed"
 
 
+def test_switches_that_are_animated_are_told(read) -> None:
+    """They are read at the first frame, by their samples where they have no default."""
+    switch = "bool {}.timeSamples = {{ 1: {}, 5: {} }}"
+    joined = read(BOTH + _joint("Fixed", switch.format("physics:jointEnabled", 1, 0)))
+    assert joined.scene.joints and any("physics:jointEnabled" in line for line in joined.warnings)
+    kinematic = read(_cube("A", 100, switch.format("physics:kinematicEnabled", 1, 0)) + _cube("B", 800))
+    assert len(kinematic.scene.rigid_bodies) == 1
+    assert any("</A> physics:kinematicEnabled: is animated" in line for line in kinematic.warnings)
+    appears = read(
+        _cube("A", 100, "bool physics:collisionEnabled = 0\n" + switch.format("physics:collisionEnabled", 1, 1))
+    )
+    assert len(appears.scene.surfaces) == 1 and appears.scene.surfaces[0].collides
+
+
 def test_a_generic_joint_of_other_freedoms_is_refused(read) -> None:
     shot = read(BOTH + _joint(""))
     (prim,) = [prim for prim in shot.prims if prim.path == "/J"]

@@ -209,3 +209,22 @@ def test_shapes_are_closed_and_face_outwards(shape: str, axis: str, read) -> Non
     assert np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2), "every edge has two triangles"
     if shape == "Capsule":
         assert "XYZ"[int(np.argmax(np.ptp(surface.points, axis=0)))] == axis
+
+
+@pytest.mark.parametrize("left_handed", [False, True])
+def test_what_is_mirrored_faces_outwards_all_the_same(left_handed: bool, read) -> None:
+    """A tetrahedron of volume 1/6, scaled by -2 along one axis: its signed volume is 1/3."""
+    faces = "[0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3]"
+    turned = "[1, 2, 0, 3, 1, 0, 2, 3, 0, 3, 2, 1]"
+    body = f"""    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    int[] faceVertexCounts = [3, 3, 3, 3]
+    int[] faceVertexIndices = {turned if left_handed else faces}
+    uniform token orientation = "{"leftHanded" if left_handed else "rightHanded"}"
+    float3 xformOp:scale = (1, 1, -2)
+    uniform token[] xformOpOrder = ["xformOp:scale"]
+"""
+    shot = read(_hair(STRANDS) + f'def Mesh "S" ({_apply("PhysicsCollisionAPI")})\n{{\n{body}}}\n')
+    surface = next(s for s in shot.scene.surfaces if s.name == "/S")
+    points = surface.points @ surface.motion.pose(0.0).joint_transforms[0][:3, :3].T
+    a, b, c = (points[surface.triangles[:, k]] for k in range(3))
+    assert np.sum(a * np.cross(b, c)) / 6.0 == pytest.approx(1.0 / 3.0)

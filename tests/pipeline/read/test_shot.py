@@ -73,6 +73,18 @@ def test_gravity(read) -> None:
     np.testing.assert_allclose(read(HAIR + none).scene.gravity, 0.0)
 
 
+def test_of_several_scenes_that_which_owns_bodies_has_the_gravity(read) -> None:
+    scenes = "".join(
+        f'def PhysicsScene "{name}" {{\n float physics:gravityMagnitude = {size}\n}}\n'
+        for name, size in (("First", 1), ("Second", 2))
+    )
+    owned = 'def Cube "Box" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"]) {{\n{}\n}}\n'
+    for line, size in (("", 1), ("rel physics:simulationOwner = </Second>", 2)):
+        shot = read(scenes + owned.format(line))
+        np.testing.assert_allclose(shot.scene.gravity, [0, -size, 0])
+        assert any("one of 2 physics scenes" in warning for warning in shot.warnings)
+
+
 def test_what_is_not_authored_is_told(tmp_path: Path) -> None:
     path = tmp_path / "bare.usda"
     path.write_text("#usda 1.0\n" + HAIR)
