@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from pxr import Usd, UsdGeom, UsdPhysics
 
-from plait.pipeline.read import curves, shapes
+from plait.pipeline.read import curves, shapes, values
 from plait.pipeline.read.joint_kinds import drawn_kind
 from plait.pipeline.read.skeletons import INFLUENCES, Skeletons
 from plait.pipeline.read.source import PREDICATE, Source
@@ -225,7 +225,7 @@ class _Assignment:
             return None
         if attribute.ValueMightBeTimeVarying() and len({attribute.Get(t) for t in attribute.GetTimeSamples()}) > 1:
             self._source.warn("is animated; its value at the first frame holds", prim, name)
-        return attribute.Get(self._source.start)
+        return values.flag(self._source, attribute)
 
     # --- implied ----------------------------------------------------------------------------------------------
 

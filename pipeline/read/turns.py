@@ -12,7 +12,6 @@ def rotation_of(linear: np.ndarray) -> np.ndarray:
     return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
 
 
-def of_quaternion(quaternion: Gf.Quatf) -> np.ndarray:
+def of_quaternion(quaternion: Gf.Quatd) -> np.ndarray:
     """(3, 3)"""
-    unit = Gf.Quatd(quaternion).GetNormalized()
-    return np.array(Gf.Matrix3d(unit)).T
+    return np.array(Gf.Matrix3d(quaternion.GetNormalized())).T

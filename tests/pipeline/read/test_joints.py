@@ -223,6 +223,15 @@ def test_a_generic_joint_of_other_freedoms_is_refused(read) -> None:
         (_joint("Revolute", 'uniform token physics:axis = "Q"'), "physics:axis"),
         (_joint("Fixed", "quatf physics:localRot0 = (0, 0, 0, 0)"), "physics:localRot0"),
         (_joint("Fixed", "point3f physics:localPos1 = (nan, 0, 0)"), "physics:localPos1"),
+        (_joint("Fixed", "string physics:localPos1 = 'here'"), "physics:localPos1"),
+        (_joint("Fixed", "string physics:jointEnabled = 'yes'"), "physics:jointEnabled"),
+        (_joint("Revolute", "string physics:upperLimit = 'up'"), "physics:upperLimit"),
+        (
+            _joint("Revolute", "float drive:angular:physics:stiffness = inf").replace(
+                '"J"', '"J" (prepend apiSchemas = ["PhysicsDriveAPI:angular"])'
+            ),
+            "drive:angular:physics:stiffness",
+        ),
         (
             _joint("Distance", "float physics:minDistance = 9\nfloat physics:maxDistance = 5"),
             "physics:minDistance",

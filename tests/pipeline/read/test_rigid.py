@@ -22,6 +22,9 @@ DENTED = MESH.format(
 )
 
 
+TURNED = "float3 physics:diagonalInertia = (1, 1, 1)\n"
+
+
 def _prim(
     kind: str, lines: str = "", schemas: tuple[str, ...] = BODY, inside: str = "", name: str = "Body"
 ) -> str:
@@ -345,6 +348,12 @@ def test_what_is_not_simulated(read) -> None:
         (_prim("Cube", "float3 physics:diagonalInertia = (1, -1, 1)"), "physics:diagonalInertia"),
         (_prim("Cube", "point3f physics:centerOfMass = (nan, 0, 0)"), "physics:centerOfMass"),
         (_prim("Cube", "vector3f physics:velocity = (inf, 0, 0)"), "physics:velocity"),
+        (_prim("Cube", "vector3f physics:velocity = (0, 1e30, 0)"), "physics:velocity"),
+        (_prim("Cube", "vector3f physics:angularVelocity = (0, 1e20, 0)"), "physics:angularVelocity"),
+        (_prim("Cube", 'string physics:velocity = "fast"'), "physics:velocity"),
+        (_prim("Cube", 'string physics:mass = "two"'), "physics:mass"),
+        (_prim("Cube", "string physics:kinematicEnabled = 'yes'"), "physics:kinematicEnabled"),
+        (_prim("Cube", f"{TURNED}quatf physics:principalAxes = (nan, 0, 0, 0)"), "physics:principalAxes"),
         (_prim("Cube", "float physics:mass = inf"), "physics:mass"),
         (_prim("Cube", "float physics:density = -2"), "physics:density"),
         (_prim("Cube", _place("double3 translate = (nan, 0, 0)")), "xformOpOrder"),
