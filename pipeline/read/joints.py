@@ -55,6 +55,10 @@ def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
     if values.flag(source, joint.GetJointEnabledAttr()) is False:
         return None
     holders = [_holder(source, prim, relation) for relation in (joint.GetBody0Rel(), joint.GetBody1Rel())]
+    inactive = next((str(holder.GetPath()) for holder in holders if not holder.IsActive()), "")
+    if inactive:
+        source.warn(f"holds {inactive}, which is not active; left out", prim)
+        return None
     bodies = tuple(_body(props, holder) for holder in holders)
     if bodies[0] == bodies[1]:
         source.warn("holds no simulated body to another or to the world; left out", prim)

@@ -169,6 +169,22 @@ def test_velocities_are_in_degrees_and_the_parents_space(read) -> None:
     np.testing.assert_allclose(body.angular_velocity, [0.0, np.pi, 0.0], atol=1e-9)
 
 
+def test_what_is_mirrored_has_its_inertia_and_spin_mirrored(read) -> None:
+    """I -> Q I Q^T; a spin is an axial vector, w -> det(Q) Q w."""
+    lines = "float physics:mass = 1\nfloat3 physics:diagonalInertia = (1, 2, 4)\n"
+    lines += "quatf physics:principalAxes = (0.8, 0, 0.6, 0)\nvector3f physics:angularVelocity = (10, 20, 30)\n"
+    place = "float xformOp:rotateZ = 25\nfloat3 xformOp:scale = ({}, 1, 1)\n"
+    place += 'uniform token[] xformOpOrder = ["xformOp:rotateZ", "xformOp:scale"]'
+    plain, mirrored = (
+        _only(read(_prim("Xform", place.format(x), (), _prim("Cube", lines), "Group"))) for x in (1, -1)
+    )
+    angle = np.radians(25.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    flip = turn @ np.diag([-1.0, 1.0, 1.0]) @ turn.T
+    np.testing.assert_allclose(mirrored.inertia, flip @ plain.inertia @ flip.T, atol=1e-6)
+    np.testing.assert_allclose(mirrored.angular_velocity, -flip @ plain.angular_velocity, atol=1e-6)
+
+
 @pytest.mark.parametrize("axis", ["X", "Y", "Z"])
 @pytest.mark.parametrize("kind", ["Cylinder", "Cone", "Capsule"])
 def test_shapes_keep_their_axis_and_bake_one_scale(kind: str, axis: str, read) -> None:
