@@ -72,6 +72,7 @@ class _Reader:
         tissues = self._tissues()
         props = Props(self.source, self.bodies, self.roles, self.config)
         heaps = Heaps(self.source, self.bodies, self.skeletons, self.roles, self.config, self.frames, self.fill)
+        self._tell_of_late_start(len(props) + len(heaps))
         surfaces, carrying = self._surfaces(grooms, tissues, props, heaps)
         choose_leaders(self.source, grooms)
         assembly = Assembly(self.source, self.skeletons, grooms, surfaces)
@@ -111,6 +112,14 @@ class _Reader:
             on_props={path: prop for path, prop in carried.items() if prop is not None},
             grains=heaps.outputs,
         )
+
+    def _tell_of_late_start(self, count: int) -> None:
+        first, start = self.frames[0], self.source.info.start
+        if count and first > start:
+            self.source.warn(
+                f"frames from {first:g} were asked for: rigid bodies and grains start anew in their pre-roll, not "
+                f"where they come to from {start:g} on"
+            )
 
     # --- strands ----------------------------------------------------------------------------------------------
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from plait.pipeline.config import Config
 from plait.pipeline.errors import InputError
+from plait.pipeline.read import read_shot
 
 BODY = "PhysicsRigidBodyAPI", "PhysicsCollisionAPI", "PhysicsMassAPI"
 # float32 attributes: half a unit in the last place is 6e-8 of a value; a few of them meet.
@@ -316,6 +318,13 @@ def test_prototypes_of_an_instancer_do_not_collide_and_that_is_said(read) -> Non
     assert any("</Rocks/Rock>" in warning and "PointInstancer" in warning for warning in shot.warnings)
     (held,) = [prim for prim in read(_prim("PointInstancer", inside=rock)).prims if prim.path == "/Body/Rock"]
     assert not held.supported and "PointInstancer" in held.reason
+
+
+def test_frames_from_the_middle_of_a_shot_start_anew_and_that_is_said(write) -> None:
+    path = write(_prim("Cube"))
+    for first, said in ((1.0, False), (5.0, True)):
+        warnings = read_shot(path, Config(), (first, 9.0)).warnings
+        assert any("start anew" in warning for warning in warnings) == said
 
 
 def test_a_plane_ends_where_it_is_drawn_and_that_is_said(read) -> None:
