@@ -43,40 +43,45 @@ def read_mass(source: Source, prim: Usd.Prim, parts: Sequence[Part], rest: np.nd
         mend = "author physics:mass and physics:diagonalInertia, or apply PhysicsCollisionAPI to a shape of it"
         raise source.error("has no collider to find its mass by", prim, "physics:mass", mend)
     found = _together([_of_part(source, part, part.body.prim == prim) for part in parts])
+    return _as_authored(found, mass, center, inertia)
+
+
+def _as_authored(
+    found: MassProperties, mass: float, center: np.ndarray | None, inertia: np.ndarray | None
+) -> MassProperties:
+    """What is authored (a mass above 0, not None) in the place of what was found.
+
+    As UsdPhysics computes it, an inertia that was found is then about the authored centre.
+    """
     scale = mass / found.mass if mass > 0.0 else 1.0
     if center is None:
         center = found.center
     if inertia is None:
-        away = center - found.center
-        shifted = found.mass * (away @ away * np.eye(3) - np.outer(away, away))
-        inertia = scale * (found.inertia + shifted)
+        inertia = scale * (found.inertia + _about(center, found))
     return MassProperties(scale * found.mass, center, inertia)
 
 
+def _about(center: np.ndarray, part: MassProperties) -> np.ndarray:
+    """(3, 3), what a part's inertia is larger by about a point than about its centre: Steiner's theorem."""
+    away = part.center - center
+    return part.mass * (away @ away * np.eye(3) - np.outer(away, away))
+
+
 def _together(parts: Sequence[MassProperties]) -> MassProperties:
-    """Steiner's theorem."""
     mass = sum(part.mass for part in parts)
     center = sum(part.mass * part.center for part in parts) / mass
-    inertia = np.zeros((3, 3))
-    for part in parts:
-        away = part.center - center
-        inertia += part.inertia + part.mass * (away @ away * np.eye(3) - np.outer(away, away))
-    return MassProperties(mass, center, inertia)
+    return MassProperties(mass, center, sum(part.inertia + _about(center, part) for part in parts))
 
 
 def _of_part(source: Source, part: Part, whole: bool) -> MassProperties:
     """whole: the part is the body's own prim, and what is authored there is of the body."""
-    prim, found = part.body.prim, _of_shape(source, part)
     if whole:
-        return found
-    mass, center = _mass(source, prim), _center(source, prim, part.body.own_to_rest)
-    inertia = _inertia(source, prim, part.body.own_to_rest)
-    scale = mass / found.mass if mass > 0.0 else 1.0
-    return MassProperties(
-        scale * found.mass,
-        found.center if center is None else center,
-        scale * found.inertia if inertia is None else inertia,
-    )
+        return _of_shape(source, part)
+    prim, rest = part.body.prim, part.body.own_to_rest
+    mass, center, inertia = _mass(source, prim), _center(source, prim, rest), _inertia(source, prim, rest)
+    if mass > 0.0 and center is not None and inertia is not None:
+        return MassProperties(mass, center, inertia)
+    return _as_authored(_of_shape(source, part), mass, center, inertia)
 
 
 def _of_shape(source: Source, part: Part) -> MassProperties:

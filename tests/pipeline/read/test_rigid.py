@@ -122,6 +122,23 @@ def test_a_part_has_its_own_centre_and_inertia(read) -> None:
     np.testing.assert_allclose(body.inertia, np.diag([2.0 + own + apart, 1.0 + own, 3.0 + own + apart]), atol=1e-5)
 
 
+def test_a_parts_inertia_is_about_its_authored_centre(read) -> None:
+    """As UsdPhysicsRigidBodyAPI.ComputeMassProperties has it: the shape's is moved there by Steiner's theorem."""
+    lines = "float physics:mass = 5\npoint3f physics:centerOfMass = (0, 2, 0)\n"
+    ball = _prim("Sphere", lines, ("PhysicsCollisionAPI", "PhysicsMassAPI"))
+    body = _only(read(_prim("Xform", schemas=("PhysicsRigidBodyAPI",), inside=ball, name="All")))
+    np.testing.assert_allclose(body.center_of_mass, [0.0, 2.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(body.inertia, np.diag([2.0 + 20.0, 2.0, 2.0 + 20.0]), rtol=1e-6, atol=1e-5)
+
+
+def test_an_open_mesh_that_tells_all_of_its_mass_is_a_part(read) -> None:
+    lines = "float physics:mass = 5\npoint3f physics:centerOfMass = (0, 2, 0)\n"
+    lines += f"float3 physics:diagonalInertia = (1, 2, 3)\n{TRIANGLE}"
+    sheet = _prim("Mesh", lines, ("PhysicsCollisionAPI", "PhysicsMassAPI"))
+    body = _only(read(_prim("Xform", schemas=("PhysicsRigidBodyAPI",), inside=sheet, name="All")))
+    np.testing.assert_allclose(body.inertia, np.diag([1.0, 2.0, 3.0]), atol=1e-6)
+
+
 def test_a_body_that_is_a_collider_itself_has_the_mass_of_all(read) -> None:
     """Its 3 kg lie in itself and its part by volume: a ball of twice the radius has eight parts in nine."""
     inner = _prim(
