@@ -305,6 +305,23 @@ def test_what_cannot_go_with_the_body_it_is_drawn_beneath_is_said(read) -> None:
     assert any("</Body/Nozzle>" in warning for warning in _moves(read(text)))
 
 
+def test_colliders_beneath_a_body_are_its_parts_or_go_with_it(read) -> None:
+    """As UsdPhysics has it a disabled body is none; a kinematic one beneath another has no mass in that."""
+    collider = _prim("Cube", schemas=("PhysicsCollisionAPI",))
+    off, held = (
+        _prim("Xform", f"bool physics:{line}", ("PhysicsRigidBodyAPI",), collider, name)
+        for line, name in (("rigidBodyEnabled = 0", "Off"), ("kinematicEnabled = 1", "Held"))
+    )
+    shot = read(_prim("Xform", schemas=("PhysicsRigidBodyAPI",), inside=off + held, name="All"))
+    assert {prim.path: prim.role for prim in shot.prims} == {
+        "/All": "rigid", "/All/Off/Body": "rigid", "/All/Held": "animated prop", "/All/Held/Body": "animated prop",
+    }  # fmt: skip
+    assert [(surface.rigid, surface.collides) for surface in shot.scene.surfaces] == [(0, True), (0, True)]
+    assert _only(shot).mass == pytest.approx(8000.0) and not _moves(shot)
+    alone = read(_prim("Cube") + off).scene.surfaces
+    assert [(surface.rigid, surface.collides) for surface in alone] == [(0, True), (None, True)]
+
+
 def test_a_collider_by_role_beneath_a_body_is_part_of_it(read) -> None:
     """On the body itself, or above it, the role stands over its physics."""
     role = 'token plait:role = "collider"'
