@@ -21,6 +21,16 @@ def new_stage(path: Path, frames: tuple[int, int] | None = None, rate: float = 2
     return stage
 
 
+def new_world(
+    path: Path, frames: tuple[int, int] | None = None, rate: float = 24.0, meters: float = 1.0
+) -> Usd.Stage:
+    """`new_stage` with units of so many metres, whose default prim is an Xform /World."""
+    stage = new_stage(path, frames, rate)
+    UsdGeom.SetStageMetersPerUnit(stage, meters)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    return stage
+
+
 def define_mesh(
     stage: Usd.Stage, path: str, points: np.ndarray, triangles: np.ndarray, colour: Iterable[float]
 ) -> UsdGeom.Mesh:

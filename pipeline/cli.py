@@ -49,7 +49,7 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="plait",
-        description="Simulate the hair and flesh of a USD shot: USD in, USD out, no application needed.",
+        description="Simulate hair, flesh, props, sand and snow of a USD shot: USD in, USD out, no application.",
         epilog="exit codes: 0 done, 2 usage, 3 the simulation failed (frames before it are kept), "
         "4 differs from the reference, 5 bad input, 143 stopped by a signal and resumable",
     )

@@ -70,8 +70,9 @@ def schedule(
     """
     samples = [(code + offset, code) for code in frames.codes for offset in sorted({0.0, *shutter})]
     samples.sort()
-    if any(later - earlier < 1e-9 for (earlier, _), (later, _) in itertools.pairwise(samples)):
-        raise UsageError("shutter samples of neighbouring frames coincide: choose offsets within half a stride")
+    for (earlier, frame), (later, next_frame) in itertools.pairwise(samples):
+        if later - earlier < 1e-9 or next_frame < frame:
+            raise UsageError("shutter samples of neighbouring frames meet: choose offsets within half a stride")
     last_of = {frame: code for code, frame in samples}
     begin = samples[0][0] - preroll
     legs: list[Leg] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pxr import Usd, UsdPhysics
 
+from plait.pipeline.read import values
 from plait.pipeline.read.joint_kinds import Drawn
 from plait.pipeline.read.source import Source
 from plait.solver.scene import Drive
@@ -55,10 +56,10 @@ def _read(source: Source, api: UsdPhysics.DriveAPI, turns: bool) -> Drive:
 
 def _number(source: Source, api: UsdPhysics.DriveAPI, name: str) -> float:
     attribute = getattr(api, f"Get{name[0].upper()}{name[1:]}Attr")()
-    value = float(attribute.Get(source.start))
-    target = name.startswith("target")
-    if np.isnan(value) or (target and not np.isfinite(value)) or (not target and value < 0.0):
-        mend = "author a finite number" if target else "author 0 or more"
+    value, target = values.number(source, attribute), name.startswith("target")
+    finite = np.isfinite(value) or (value == np.inf and name == "maxForce")
+    if not (finite and (target or value >= 0.0)):
+        mend = "author a finite number" if target else "author a number from 0 up"
         raise source.error(f"is {value:g}", attribute.GetPrim(), attribute.GetName(), mend)
     source.tell_if_animated(attribute)
     return value

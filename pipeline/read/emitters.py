@@ -12,8 +12,8 @@ from plait.pipeline.read.gravity import read_gravity
 from plait.pipeline.read.motions import Anchor, Placement, RigidMotion, transform
 from plait.pipeline.read.parameters import Given
 from plait.pipeline.read.polygons import read_polygons
-from plait.pipeline.read.shells import nearest_axes
 from plait.pipeline.read.source import Source
+from plait.pipeline.read.turns import nearest_axes
 from plait.solver.scene import AlwaysOn, Emitter, Switch
 
 EMIT = "plait:emit"

@@ -7,6 +7,7 @@ from itertools import combinations
 
 from pxr import Usd, UsdPhysics
 
+from plait.pipeline.read import values
 from plait.pipeline.read.source import PREDICATE, Source
 from plait.solver.scene import Surface
 
@@ -39,9 +40,9 @@ def _of_joints(source: Source, surfaces: Sequence[Surface]) -> Iterator[tuple[In
     """What a joint holds together, unless it says otherwise; the world as a whole is none of it."""
     for prim in source.stage.Traverse(PREDICATE):
         joint = UsdPhysics.Joint(prim)
-        if not joint or joint.GetCollisionEnabledAttr().Get(source.start):
+        if not joint or values.flag(source, joint.GetCollisionEnabledAttr()):
             continue
-        if not joint.GetJointEnabledAttr().Get(source.start):
+        if not values.flag(source, joint.GetJointEnabledAttr()):
             continue
         sides = [relation.GetTargets() for relation in (joint.GetBody0Rel(), joint.GetBody1Rel())]
         if all(sides):

@@ -10,9 +10,9 @@ from pxr import Usd, UsdGeom
 from plait.pipeline.read import values
 from plait.pipeline.read.motions import Placement, transform
 from plait.pipeline.read.parameters import Given
-from plait.pipeline.read.shells import nearest_axes
 from plait.pipeline.read.skeletons import SkeletonBinding
 from plait.pipeline.read.source import Source
+from plait.pipeline.read.turns import nearest_axes
 
 # Points in the cell of a typical one, between which a cell tells how densely they lie.
 FEW, MANY = 8.0, 64.0

@@ -235,6 +235,11 @@ class Heaps:
                 path = _free_path(beside, f"{prim.GetName()}{SURFACE}", taken)
                 to_local, spacing = WorldToLocal(self._source, beside), self._spacings[heap.path]
                 cell = heap.given["surfaceCell"] or SURFACE_CELL * spacing
+                if cell < spacing:
+                    problem = (
+                        f"is {cell:.3g} m, less than the {spacing:.3g} m between grains: gaps between them show"
+                    )
+                    self._source.warn(problem, prim, "plait:surfaceCell")
                 yield GrainSurfaceOutput(path, heap.path, index, to_local, law, home, cell, spacing**3)
 
 

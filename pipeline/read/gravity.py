@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics
 
+from plait.pipeline.read import values
 from plait.pipeline.read.source import PREDICATE, Source
 
-EARTH = 9.81
+EARTH, STRONGEST = 9.81, 1e6
 
 
 def read_gravity(source: Source) -> np.ndarray:
@@ -31,12 +32,13 @@ def read_gravity(source: Source) -> np.ndarray:
     scene = UsdPhysics.Scene(prim)
     for attribute in (scene.GetGravityDirectionAttr(), scene.GetGravityMagnitudeAttr()):
         source.tell_if_animated(attribute)
-    direction = np.array(scene.GetGravityDirectionAttr().Get(source.start), dtype=np.float64)
-    magnitude = float(scene.GetGravityMagnitudeAttr().Get(source.start))
+    direction = values.vector(source, scene.GetGravityDirectionAttr())
+    magnitude = values.number(source, scene.GetGravityMagnitudeAttr())
     if not np.all(np.isfinite(direction)):
         raise source.error("is not finite", prim, "physics:gravityDirection", "author a direction")
-    if np.isnan(magnitude) or magnitude == np.inf:
-        raise source.error(f"is {magnitude}", prim, "physics:gravityMagnitude", "author a number")
+    most = STRONGEST / source.units.meters_per_unit
+    if not magnitude <= most:
+        raise source.error(f"is {magnitude:g}", prim, "physics:gravityMagnitude", f"author {most:g} or less")
     size = np.linalg.norm(direction)
     direction = direction / size if size > 0.0 else down
     return direction * (EARTH if magnitude < 0.0 else magnitude * source.units.meters_per_unit)

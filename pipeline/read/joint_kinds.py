@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from pxr import Usd, UsdPhysics
 
+from plait.pipeline.read import values
 from plait.pipeline.read.source import Source
 from plait.solver.scene import JointKind
 
@@ -76,4 +77,4 @@ def _locked(source: Source, prim: Usd.Prim, freedom: str) -> bool:
     if not prim.HasAPI(UsdPhysics.LimitAPI, freedom):
         return False
     limit = UsdPhysics.LimitAPI(prim, freedom)
-    return limit.GetLowAttr().Get(source.start) > limit.GetHighAttr().Get(source.start)
+    return values.number(source, limit.GetLowAttr()) > values.number(source, limit.GetHighAttr())

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pxr import Usd, UsdPhysics
 
+from plait.pipeline.read import values
 from plait.pipeline.read.drives import read_drive
 from plait.pipeline.read.joint_kinds import Drawn, drawn_kind
 from plait.pipeline.read.motions import Placement
@@ -52,9 +53,13 @@ def is_joint(prim: Usd.Prim) -> bool:
 def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
     joint = UsdPhysics.Joint(prim)
     source.tell_if_animated(joint.GetJointEnabledAttr())
-    if joint.GetJointEnabledAttr().Get(source.start) is False:
+    if values.flag(source, joint.GetJointEnabledAttr()) is False:
         return None
     holders = [_holder(source, prim, relation) for relation in (joint.GetBody0Rel(), joint.GetBody1Rel())]
+    inactive = next((str(holder.GetPath()) for holder in holders if not holder.IsActive()), "")
+    if inactive:
+        source.warn(f"holds {inactive}, which is not active; left out", prim)
+        return None
     bodies = tuple(_body(props, holder) for holder in holders)
     if bodies[0] == bodies[1]:
         source.warn("holds no simulated body to another or to the world; left out", prim)
@@ -89,13 +94,13 @@ def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
         cone=_cone(source, prim) if held.kind == "spherical" else None,
         drive=drive,
         motion=motion,
-        collide=bool(joint.GetCollisionEnabledAttr().Get(source.start)),
+        collide=bool(values.flag(source, joint.GetCollisionEnabledAttr())),
     )
 
 
 def _tell_of_breaking(source: Source, joint: UsdPhysics.Joint) -> None:
     for attribute in (joint.GetBreakForceAttr(), joint.GetBreakTorqueAttr()):
-        if attribute.Get(source.start) < np.inf:
+        if values.number(source, attribute) < np.inf:
             source.warn("is ignored: joints do not break", attribute.GetPrim(), attribute.GetName())
 
 
@@ -124,14 +129,13 @@ def _frame(
 ) -> np.ndarray:
     """(4, 4), rigid: one side's joint frame, z its axis, to scene coordinates at the first frame."""
     matrix = source.metric(source.placed_at_start(holder))
-    at = np.array(place.Get(source.start), dtype=np.float64)
-    quaternion = rotation.Get(source.start)
-    for attribute, values in ((place, at), (rotation, [quaternion.GetReal(), *quaternion.GetImaginary()])):
-        if not np.isfinite(values).all() or (attribute is rotation and not np.any(values)):
+    at, turned = values.vector(source, place), values.quaternion(source, rotation)
+    for attribute, fine in ((place, np.isfinite(at).all()), (rotation, turned.GetLength() > 0.0)):
+        if not fine:
             prim = attribute.GetPrim()
             raise source.error("is not a place or rotation", prim, attribute.GetName(), "author finite numbers")
     frame = np.eye(4)
-    frame[:3, :3] = rotation_of(matrix[:3, :3]) @ of_quaternion(quaternion) @ turn
+    frame[:3, :3] = rotation_of(matrix[:3, :3]) @ of_quaternion(turned) @ turn
     frame[:3, 3] = matrix[:3, :3] @ at * source.units.meters_per_unit + matrix[:3, 3]
     return frame
 
@@ -141,11 +145,11 @@ def _limits(source: Source, prim: Usd.Prim, held: Drawn) -> tuple[float, float] 
     if held.kind not in ("revolute", "prismatic", "distance"):
         return None
     attributes = [prim.GetAttribute(name) for name in (held.lower, held.upper)]
-    values = [attribute.Get(source.start) if attribute else None for attribute in attributes]
     for attribute in attributes:
         source.tell_if_animated(attribute)
+    authored = [values.number(source, attribute) for attribute in attributes]
     lower, upper = (
-        none if value is None else float(value) for value, none in zip(values, (-np.inf, np.inf), strict=True)
+        none if value is None else value for value, none in zip(authored, (-np.inf, np.inf), strict=True)
     )
     if held.kind == "distance":  # below zero: none
         lower, upper = (lower if lower > 0.0 else 0.0), (np.inf if upper < 0.0 else upper)
@@ -198,7 +202,7 @@ def _cone(source: Source, prim: Usd.Prim) -> float | None:
     """[rad]; UsdPhysics has an angle either way, below zero for none: a round cone takes the smaller."""
     if not prim.IsA(UsdPhysics.SphericalJoint):
         return None
-    angles = [float(prim.GetAttribute(f"physics:coneAngle{k}Limit").Get(source.start)) for k in (0, 1)]
+    angles = [values.number(source, prim.GetAttribute(f"physics:coneAngle{k}Limit")) for k in (0, 1)]
     if np.isnan(angles).any():
         raise source.error("is not a number", prim, "physics:coneAngle0Limit", "author an angle in degrees")
     given = [angle for angle in angles if angle >= 0.0]

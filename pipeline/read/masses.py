@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from pxr import Usd, UsdPhysics
 
+from plait.pipeline.read import values
 from plait.pipeline.read.parameters import Given
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Body
@@ -43,40 +43,45 @@ def read_mass(source: Source, prim: Usd.Prim, parts: Sequence[Part], rest: np.nd
         mend = "author physics:mass and physics:diagonalInertia, or apply PhysicsCollisionAPI to a shape of it"
         raise source.error("has no collider to find its mass by", prim, "physics:mass", mend)
     found = _together([_of_part(source, part, part.body.prim == prim) for part in parts])
+    return _as_authored(found, mass, center, inertia)
+
+
+def _as_authored(
+    found: MassProperties, mass: float, center: np.ndarray | None, inertia: np.ndarray | None
+) -> MassProperties:
+    """What is authored (a mass above 0, not None) in the place of what was found.
+
+    As UsdPhysics computes it, an inertia that was found is then about the authored centre.
+    """
     scale = mass / found.mass if mass > 0.0 else 1.0
     if center is None:
         center = found.center
     if inertia is None:
-        away = center - found.center
-        shifted = found.mass * (away @ away * np.eye(3) - np.outer(away, away))
-        inertia = scale * (found.inertia + shifted)
+        inertia = scale * (found.inertia + _about(center, found))
     return MassProperties(scale * found.mass, center, inertia)
 
 
+def _about(center: np.ndarray, part: MassProperties) -> np.ndarray:
+    """(3, 3), what a part's inertia is larger by about a point than about its centre: Steiner's theorem."""
+    away = part.center - center
+    return part.mass * (away @ away * np.eye(3) - np.outer(away, away))
+
+
 def _together(parts: Sequence[MassProperties]) -> MassProperties:
-    """Steiner's theorem."""
     mass = sum(part.mass for part in parts)
     center = sum(part.mass * part.center for part in parts) / mass
-    inertia = np.zeros((3, 3))
-    for part in parts:
-        away = part.center - center
-        inertia += part.inertia + part.mass * (away @ away * np.eye(3) - np.outer(away, away))
-    return MassProperties(mass, center, inertia)
+    return MassProperties(mass, center, sum(part.inertia + _about(center, part) for part in parts))
 
 
 def _of_part(source: Source, part: Part, whole: bool) -> MassProperties:
     """whole: the part is the body's own prim, and what is authored there is of the body."""
-    prim, found = part.body.prim, _of_shape(source, part)
     if whole:
-        return found
-    mass, center = _mass(source, prim), _center(source, prim, part.body.own_to_rest)
-    inertia = _inertia(source, prim, part.body.own_to_rest)
-    scale = mass / found.mass if mass > 0.0 else 1.0
-    return MassProperties(
-        scale * found.mass,
-        found.center if center is None else center,
-        scale * found.inertia if inertia is None else inertia,
-    )
+        return _of_shape(source, part)
+    prim, rest = part.body.prim, part.body.own_to_rest
+    mass, center, inertia = _mass(source, prim), _center(source, prim, rest), _inertia(source, prim, rest)
+    if mass > 0.0 and center is not None and inertia is not None:
+        return MassProperties(mass, center, inertia)
+    return _as_authored(_of_shape(source, part), mass, center, inertia)
 
 
 def _of_shape(source: Source, part: Part) -> MassProperties:
@@ -92,39 +97,41 @@ def _of_shape(source: Source, part: Part) -> MassProperties:
 
 def _mass(source: Source, prim: Usd.Prim) -> float:
     """[kg], 0 where none is authored."""
-    value = _value(source, prim, UsdPhysics.MassAPI(prim).GetMassAttr())
+    value = values.number(source, _authored(prim, "physics:mass"))
     if value is None or value == 0.0:
         return 0.0
     if not (np.isfinite(value) and value > 0.0):
         raise source.error(f"is {value:g}", prim, "physics:mass", "author a positive number")
-    return float(value) * source.units.kilograms_per_unit
+    return value * source.units.kilograms_per_unit
 
 
 def _center(source: Source, prim: Usd.Prim, rest: np.ndarray) -> np.ndarray | None:
-    value = _value(source, prim, UsdPhysics.MassAPI(prim).GetCenterOfMassAttr())
-    if value is None or np.all(np.array(value) == -np.inf):  # the schema's 'not authored'
+    value = values.vector(source, _authored(prim, "physics:centerOfMass"))
+    if value is None or np.all(value == -np.inf):  # the schema's 'not authored'
         return None
     if not np.isfinite(value).all():
         raise source.error("is not finite", prim, "physics:centerOfMass", "author finite numbers")
-    return rest[:3, :3] @ np.array(value, dtype=np.float64) + rest[:3, 3]
+    return rest[:3, :3] @ value + rest[:3, 3]
 
 
 def _inertia(source: Source, prim: Usd.Prim, rest: np.ndarray) -> np.ndarray | None:
     """(3, 3) [kg m2] in rest space."""
-    api, units = UsdPhysics.MassAPI(prim), source.units
-    value = _value(source, prim, api.GetDiagonalInertiaAttr())
-    if value is None or not np.any(value):
+    units = source.units
+    diagonal = values.vector(source, _authored(prim, "physics:diagonalInertia"))
+    if diagonal is None or not np.any(diagonal):
         return None
-    diagonal = np.array(value, dtype=np.float64)
     if not (np.isfinite(diagonal).all() and (diagonal > 0.0).all()):
-        raise source.error(f"is {value}", prim, "physics:diagonalInertia", "author three positive numbers")
+        found = ", ".join(f"{value:g}" for value in diagonal)
+        raise source.error(f"is ({found})", prim, "physics:diagonalInertia", "author three positive numbers")
     turn = rotation_of(rest[:3, :3])
-    axes = _value(source, prim, api.GetPrincipalAxesAttr())
+    axes = values.quaternion(source, _authored(prim, "physics:principalAxes"))
     if axes is not None and axes.GetLength() > 0.0:
         turn = turn @ of_quaternion(axes)
     return turn @ np.diag(diagonal) @ turn.T * units.kilograms_per_unit * units.meters_per_unit**2
 
 
-def _value(source: Source, prim: Usd.Prim, attribute: Usd.Attribute) -> Any:
-    applied = prim.HasAPI(UsdPhysics.MassAPI)
-    return attribute.Get(source.start) if applied and attribute and attribute.HasAuthoredValue() else None
+def _authored(prim: Usd.Prim, name: str) -> Usd.Attribute:
+    """Of UsdPhysicsMassAPI; an invalid one where it is not applied, or gives nothing."""
+    attribute = prim.GetAttribute(name)
+    given = prim.HasAPI(UsdPhysics.MassAPI) and attribute and attribute.HasAuthoredValue()
+    return attribute if given else Usd.Attribute()

@@ -24,7 +24,7 @@ class Parameter:
     kilograms, meters: powers of the stage's units in it (seconds are seconds everywhere).
     zero_means_unset: in the other names, as UsdPhysics has it, zero asks for the default.
     choices: words, one of which it is.  file: it is a path.  flag: it is true or false, and does not change.
-    vector: it is three numbers, each of a size in the range.
+    vector: it is three numbers, each of a size in the range.  whole: it is a whole number.
     painted: `primvars:plait:NAME` may give a value for each of these, and comes before one for all.
     """
 
@@ -45,6 +45,7 @@ class Parameter:
     file: bool = False
     flag: bool = False
     vector: bool = False
+    whole: bool = False
     painted: Literal["", "points", "curves"] = ""
 
     @property
@@ -57,7 +58,8 @@ class Parameter:
             return "true or false"
         if self.vector:
             return f"three numbers, each from {-self.high:g} to {self.high:g}"
-        return f"{'from' if self.low_allowed else 'above'} {self.low:g} to {self.high:g}"
+        kind = "whole, " if self.whole else ""
+        return f"{kind}{'from' if self.low_allowed else 'above'} {self.low:g} to {self.high:g}"
 
     def stage_unit(self, source: Source) -> float:
         """SI value of one of the stage's units of this parameter."""
@@ -275,8 +277,8 @@ PARAMETERS = (
         default_text="what its rate gives until the last frame", low=1.0, high=1e9, low_allowed=True,
     ),
     Parameter(
-        "seed", "1", "of the places of grains, a whole number", roles=(SAND, SNOW),
-        default=0.0, low=0.0, high=1e9, low_allowed=True,
+        "seed", "1", "of the places of grains", roles=(SAND, SNOW),
+        default=0.0, low=0.0, high=1e9, low_allowed=True, whole=True,
     ),
     Parameter(
         "surface", "", "a mesh about the grains is written, and drawn in their place", roles=(SAND, SNOW),

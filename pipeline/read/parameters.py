@@ -216,14 +216,15 @@ def _painted_count(source: Source, prim: Usd.Prim, parameter: Parameter) -> int:
 
 
 def _range_in_stage(parameter: Parameter, unit: float) -> str:
-    low = "from" if parameter.low_allowed else "above"
+    low = ("that is whole, " if parameter.whole else "") + ("from" if parameter.low_allowed else "above")
     note = f" in the stage's own units ({unit:g} {parameter.unit})" if unit != 1.0 else ""
     return f"{low} {parameter.low / unit:g} to {parameter.high / unit:g}{note}"
 
 
 def _in_range(parameter: Parameter, value: float) -> bool:
     above = value >= parameter.low if parameter.low_allowed else value > parameter.low
-    return math.isfinite(value) and above and value <= parameter.high
+    whole = not parameter.whole or float(value).is_integer()
+    return math.isfinite(value) and above and value <= parameter.high and whole
 
 
 def _check_configured(place: str, key: str, value: Any) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics
 
 from plait.pipeline.config import Config
-from plait.pipeline.read import parameters
+from plait.pipeline.read import parameters, values
 from plait.pipeline.read.approximation import bounding_shape, tell_of_approximation
 from plait.pipeline.read.masses import Part, read_mass
 from plait.pipeline.read.motions import Placement, RigidMotion, WorldToLocal, transform
@@ -29,6 +29,8 @@ from plait.solver.scene import Joint, Motion, Pose, RigidBody, Surface
 
 # The largest over the smallest scale of a body that still has a volume.
 FLATTEST = 1e8
+# [m/s], [rad/s]: no authored velocity is meant to be larger.
+FASTEST, FASTEST_TURN = 1e4, 1e5
 
 
 @dataclass
@@ -246,17 +248,17 @@ class Props:
         may turn and scale; in stage units and degrees a second. A scale changes no turning.
         """
         source, body = self._source, UsdPhysics.RigidBodyAPI(prim)
-        if body.GetStartsAsleepAttr().Get(source.start):
+        if values.flag(source, body.GetStartsAsleepAttr()):
             source.warn("is ignored: bodies start awake", prim, "physics:startsAsleep")
         to_world = source.placed_at_start(_frame_of(prim))[:3, :3]
-        found = []
-        for attribute in (body.GetVelocityAttr(), body.GetAngularVelocityAttr()):
-            value = attribute.Get(source.start) if attribute else None
-            vector = np.zeros(3) if value is None else np.array(value, dtype=np.float64)
-            if not np.isfinite(vector).all():
-                raise source.error("is not finite", prim, attribute.GetName(), "author finite numbers")
-            found.append(vector)
-        return to_world @ found[0] * source.units.meters_per_unit, rotation_of(to_world) @ np.radians(found[1])
+        linear, angular = (
+            _checked(source, attribute, most)
+            for attribute, most in (
+                (body.GetVelocityAttr(), FASTEST / source.units.meters_per_unit),
+                (body.GetAngularVelocityAttr(), np.degrees(FASTEST_TURN)),
+            )
+        )
+        return to_world @ linear * source.units.meters_per_unit, rotation_of(to_world) @ np.radians(angular)
 
     def _output(self, index: int, path: str) -> TransformOutput:
         prim = self._prim(path)
@@ -282,6 +284,17 @@ def describe(bodies: Sequence[RigidBody], joints: Sequence[Joint]) -> dict[str, 
         driven = ", driven" if joint.drive is not None else ""
         told[joint.name] = f"{joint.kind}{driven}: holds {second} to {first}"
     return told
+
+
+def _checked(source: Source, attribute: Usd.Attribute, most: float) -> np.ndarray:
+    """(3,), a velocity as authored; raises InputError for one that is not below `most`."""
+    value = values.vector(source, attribute)
+    value = np.zeros(3) if value is None else value
+    if not (np.abs(value) <= most).all():
+        found = ", ".join(f"{part:g}" for part in value)
+        mend = f"author three numbers, each from {-most:g} to {most:g}"
+        raise source.error(f"is ({found})", attribute.GetPrim(), attribute.GetName(), mend)
+    return value
 
 
 def _frame_of(prim: Usd.Prim) -> Usd.Prim:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from pxr import Usd, UsdGeom, UsdPhysics
 
-from plait.pipeline.read import curves, shapes
+from plait.pipeline.read import curves, shapes, values
 from plait.pipeline.read.joint_kinds import drawn_kind
 from plait.pipeline.read.skeletons import INFLUENCES, Skeletons
 from plait.pipeline.read.source import PREDICATE, Source
@@ -141,8 +141,8 @@ class _Assignment:
         if value == "none":
             return Role(prim, SKIPPED, recognised, "plait:role is none")
         if value == "collider" and is_solid(prim):
-            body = self._rigid_above(holder.GetParent())
-            if body is not None:
+            body, _ = self._body_of(holder.GetParent())
+            if body is not None and not self._is_kinematic(body):
                 return Role(prim, "rigid", f"{recognised}, part of {body.GetPath()}", body=str(body.GetPath()))
         return Role(prim, value, recognised, body=str(prim.GetPath()) if value == "rigid" else "")
 
@@ -186,30 +186,26 @@ class _Assignment:
     def _collision_role(self, prim: Usd.Prim, enabled: bool) -> Role:
         if not enabled:
             return Role(prim, SKIPPED, COLLISION, "physics:collisionEnabled is false")
-        holder = self._body_of(prim)
+        holder, disabled = self._body_of(prim)
         if holder is None:
-            return Role(prim, "collider", COLLISION)
+            where = "" if disabled in (None, prim) else f" on {disabled.GetPath()}"
+            off = f", {RIGID_BODY}{where} is disabled" if disabled else ""
+            return Role(prim, "collider", f"{COLLISION}{off}")
         where = "" if holder == prim else f" on {holder.GetPath()}"
-        if not self._enabled(holder, "physics:rigidBodyEnabled"):
-            return Role(prim, "collider", f"{COLLISION}, {RIGID_BODY}{where} is disabled")
         if self._is_kinematic(holder):
             return Role(prim, PROP, f"{RIGID_BODY}{where}, kinematicEnabled")
         return Role(prim, "rigid", f"{RIGID_BODY}{where}", body=str(holder.GetPath()))
 
-    def _body_of(self, prim: Usd.Prim) -> Usd.Prim | None:
-        """The nearest prim, itself or above, with PhysicsRigidBodyAPI."""
+    def _body_of(self, prim: Usd.Prim) -> tuple[Usd.Prim | None, Usd.Prim | None]:
+        """The nearest prim, itself or above, whose PhysicsRigidBodyAPI is enabled; and the first that is not."""
+        disabled = None
         while prim and not prim.IsPseudoRoot():
             if RIGID_BODY in applied_schemas(prim):
-                return prim
+                if self._enabled(prim, "physics:rigidBodyEnabled"):
+                    return prim, disabled
+                disabled = disabled or prim
             prim = prim.GetParent()
-        return None
-
-    def _rigid_above(self, prim: Usd.Prim) -> Usd.Prim | None:
-        """The dynamic body that `prim` is or is part of."""
-        body = self._body_of(prim)
-        if body is None or not self._enabled(body, "physics:rigidBodyEnabled") or self._is_kinematic(body):
-            return None
-        return body
+        return None, disabled
 
     def _enabled(self, prim: Usd.Prim, name: str) -> bool:
         return self._switch(prim, name, True)
@@ -220,9 +216,11 @@ class _Assignment:
     def _switch(self, prim: Usd.Prim, name: str, unauthored: bool) -> bool:
         """A bool of UsdPhysics at the first frame."""
         attribute = prim.GetAttribute(name)
-        value = attribute.Get(self._source.start) if attribute else None
+        if not attribute:
+            return unauthored
         self._source.tell_if_animated(attribute)
-        return unauthored if value is None else bool(value)
+        value = values.flag(self._source, attribute)
+        return unauthored if value is None else value
 
     # --- implied ----------------------------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ from plait.pipeline.read.parameters import Given
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Body
 from plait.pipeline.read.triangles import weld
+from plait.pipeline.read.turns import nearest_axes
 
 # Of the cube about it, the part of a surface's volume below which it encloses none.
 FLAT = 1e-12
@@ -83,9 +84,3 @@ def _open_edges(triangles: np.ndarray) -> int:
     low, high = ends.min(axis=1), ends.max(axis=1)
     _, edge = np.unique(low * (triangles.max() + 1) + high, return_inverse=True)
     return int(np.count_nonzero(np.bincount(edge, np.where(ends[:, 0] < ends[:, 1], 1.0, -1.0))))
-
-
-def nearest_axes(linear: np.ndarray) -> np.ndarray:
-    """(3, 3), orthogonal: the directions of a linear map's axes without its scales; what mirrors still does."""
-    u, _, vt = np.linalg.svd(linear)
-    return u @ vt

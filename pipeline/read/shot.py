@@ -213,8 +213,8 @@ class _Reader:
             elif role.collides or (path in carrying and roles.is_solid(role.prim)):
                 body = self.bodies.get(role.prim)
                 if body is not None:
-                    carried = body.surface.rigid is not None
-                    surfaces.append(body.surface if carried else self._with_contact(body))
+                    own = role.body or (body.surface.rigid is not None and not role.collides)
+                    surfaces.append(body.surface if own else self._with_contact(body))
         return surfaces + hidden, carrying
 
     def _tell_of_animated_roots(self, groom: Groom, tissues: dict[str, Tissue]) -> None:
@@ -263,6 +263,7 @@ class _Reader:
         tell_of_approximation(self.source, body.prim, body.surface)
         return replace(
             body.surface,
+            collides=True,  # also beneath a rigid body, which takes along what is drawn beneath it
             thickness=given["clearance"],
             friction=given["friction"] if "friction" in given else None,
             restitution=given["restitution"],

@@ -6,13 +6,18 @@ import numpy as np
 from pxr import Gf
 
 
-def rotation_of(linear: np.ndarray) -> np.ndarray:
-    """(3, 3), the rotation nearest to a linear map (its polar part), a proper one also of what mirrors."""
+def nearest_axes(linear: np.ndarray) -> np.ndarray:
+    """(3, 3), orthogonal: the directions of a linear map's axes without its scales; what mirrors still does."""
     u, _, vt = np.linalg.svd(linear)
-    return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return u @ vt
 
 
-def of_quaternion(quaternion: Gf.Quatf) -> np.ndarray:
+def rotation_of(linear: np.ndarray) -> np.ndarray:
+    """(3, 3), a linear map's rotation, proper also of what mirrors: as USD has it, all axes are turned then."""
+    axes = nearest_axes(linear)
+    return axes * np.sign(np.linalg.det(axes))
+
+
+def of_quaternion(quaternion: Gf.Quatd) -> np.ndarray:
     """(3, 3)"""
-    unit = Gf.Quatd(quaternion).GetNormalized()
-    return np.array(Gf.Matrix3d(unit)).T
+    return np.array(Gf.Matrix3d(quaternion.GetNormalized())).T

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from pxr import Usd
+from pxr import Gf, Usd
 
 from plait.pipeline.read.source import Source
 
@@ -31,6 +31,42 @@ def steady_vectors(source: Source, attribute: Usd.Attribute) -> np.ndarray:
     for code in (codes[0], codes[len(codes) // 2], codes[-1]) if len(codes) > 1 else ():
         check_count(source, attribute, code, vectors(source, attribute, code), len(result))
     return result
+
+
+def number(source: Source, attribute: Usd.Attribute) -> float | None:
+    """One number, which may be inf or nan, at the first frame; None for none. InputError for another type."""
+    value = attribute.Get(source.start) if attribute else None
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+        raise _wrong_value(source, attribute, value, "a number")
+    return None if value is None else float(value)
+
+
+def flag(source: Source, attribute: Usd.Attribute) -> bool | None:
+    """True or false at the first frame, None for nothing; raises InputError for another type."""
+    value = attribute.Get(source.start) if attribute else None
+    if value is not None and not isinstance(value, bool):
+        raise _wrong_value(source, attribute, value, "true or false")
+    return value
+
+
+def vector(source: Source, attribute: Usd.Attribute) -> np.ndarray | None:
+    """(3,) float64, which may hold inf or nan, at the first frame; None for none. InputError for another type."""
+    value = attribute.Get(source.start) if attribute else None
+    if value is not None and not isinstance(value, Gf.Vec3f | Gf.Vec3d | Gf.Vec3h | Gf.Vec3i):
+        raise _wrong_value(source, attribute, value, "a vector")
+    return None if value is None else np.array(value, dtype=np.float64)
+
+
+def quaternion(source: Source, attribute: Usd.Attribute) -> Gf.Quatd | None:
+    """A finite one at the first frame, None for none; raises InputError for others."""
+    value = attribute.Get(source.start) if attribute else None
+    if value is None:
+        return None
+    if not isinstance(value, Gf.Quatf | Gf.Quatd | Gf.Quath):
+        raise _wrong_value(source, attribute, value, "a quaternion")
+    if not np.isfinite([value.GetReal(), *value.GetImaginary()]).all():
+        raise _wrong_value(source, attribute, value, "a rotation")
+    return Gf.Quatd(value)
 
 
 def check_count(source: Source, attribute: Usd.Attribute, code: float, found: np.ndarray, count: int) -> None:
@@ -102,6 +138,11 @@ def checked(source: Source, prim: Usd.Prim, name: str, value: object) -> np.ndar
             "author finite numbers",
         )
     return result
+
+
+def _wrong_value(source: Source, attribute: Usd.Attribute, value: object, wanted: str) -> Exception:
+    text = repr(value) if isinstance(value, str) else str(value)
+    return source.error(f"is {text}, not {wanted}", attribute.GetPrim(), attribute.GetName(), f"author {wanted}")
 
 
 def _wrong_type(source: Source, attribute: Usd.Attribute, wanted: str) -> Exception:

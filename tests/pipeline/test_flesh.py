@@ -13,7 +13,7 @@ import trimesh
 from PIL import Image
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
-from plait.assets.stages import new_stage
+from plait.assets.stages import new_world
 from plait.pipeline import preview
 from plait.pipeline.cli import main
 from plait.pipeline.compare import compare
@@ -28,9 +28,7 @@ LIMB, BLOB, HAIR = "/World/Body/Limb", "/World/Blob", "/World/Body/Hair"
 
 def write_shot(path: Path) -> Path:
     """In centimetres: a limb on two joints that swings, hair on it, and a tet mesh that falls beside it."""
-    stage = new_stage(path, (1, FRAMES), RATE)
-    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    stage = new_world(path, (1, FRAMES), RATE, meters=0.01)
     root = UsdSkel.Root.Define(stage, "/World/Body")
     root.CreateExtentAttr([(-20, -20, -20), (20, 20, 20)])
     _limb(stage, _skeleton(stage))

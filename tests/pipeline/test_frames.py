@@ -58,6 +58,7 @@ def test_shutter_samples_stand_around_each_frame():
     assert [leg.substeps for leg in legs if leg.frame == 2] == [4, 2, 2]
 
 
-def test_coinciding_shutter_samples_are_refused():
+@pytest.mark.parametrize("shutter", [(-0.5, 0.5), (-0.7, 0.7)])
+def test_shutter_samples_that_meet_or_pass_the_next_frames_are_refused(shutter: tuple[float, float]):
     with pytest.raises(UsageError, match="shutter"):
-        schedule(FrameRange(1, 2), preroll=0, substeps=8, shutter=(-0.5, 0.5))
+        schedule(FrameRange(1, 2), preroll=0, substeps=8, shutter=shutter)

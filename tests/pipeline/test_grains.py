@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
+from plait.assets.stages import new_world
 from plait.pipeline import driver
 from plait.pipeline.cli import main
 from plait.pipeline.compare import compare
@@ -35,13 +36,7 @@ POUR = 590.0  # [1/s]
 
 def write_shot(path: Path) -> Path:
     """In centimetres, under a turned, moved and scaled group that moves on: a ball, a tap and two grains."""
-    stage = Usd.Stage.CreateNew(str(path))
-    stage.SetStartTimeCode(1)
-    stage.SetEndTimeCode(FRAMES)
-    stage.SetTimeCodesPerSecond(RATE)
-    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
-    UsdGeom.SetStageUpAxis(stage, "Y")
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    stage = new_world(path, (1, FRAMES), RATE, meters=0.01)
     group = UsdGeom.Xform.Define(stage, "/World/Set")
     move = group.AddTranslateOp()
     move.Set((0, 0, 0), 1)

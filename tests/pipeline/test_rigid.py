@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 
-from plait.assets.stages import new_stage
+from plait.assets.stages import new_stage, new_world
 from plait.pipeline import driver
 from plait.pipeline.cli import main
 from plait.pipeline.compare import compare
@@ -26,9 +26,7 @@ START, SPIN = (10.0, 400.0, -30.0), 90.0  # [cm], [degrees/s]
 
 def write_shot(path: Path) -> Path:
     """In centimetres: under a turned, moved and scaled group that moves on, a ball and a mesh that spins."""
-    stage = new_stage(path, (1, FRAMES), RATE)
-    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    stage = new_world(path, (1, FRAMES), RATE, meters=0.01)
     group = UsdGeom.Xform.Define(stage, "/World/Set")
     move = group.AddTranslateOp()
     move.Set((0, 0, 0), 1)

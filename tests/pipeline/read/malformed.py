@@ -294,6 +294,12 @@ CASES = (
         "physics:gravityMagnitude",
         ("gravityMagnitude = 981", "gravityMagnitude = inf"),
     ),
+    _case(
+        "gravity_in_words",
+        "/Physics",
+        "physics:gravityMagnitude",
+        ("float physics:gravityMagnitude = 981", 'string physics:gravityMagnitude = "down"'),
+    ),
     _case("unknown_parameter", "", "", config={"parameters": {"dampings": 1.0}}, usage=True),
     _case("parameter_out_of_range", "", "", config={"parameters": {"density": -1.0}}, usage=True),
     _case("parameter_of_wrong_type", "", "", config={"prim": {"/Hair*": {"damping": "much"}}}, usage=True),

@@ -127,6 +127,7 @@ CASES = (
     _case("hardening", POWDER, "plait:hardening", ("hardening = 5", "hardening = 500")),
     _case("friction_angle", TAP, "plait:frictionAngle", _tap("float plait:frictionAngle = 90")),
     _case("surface_is_a_number", TAP, "plait:surface", _tap("float plait:surface = 1")),
+    _case("seed_of_no_whole_number", TAP, "plait:seed", _tap("float plait:seed = 1.5")),
     _case("no_surface_cell", TAP, "plait:surfaceCell", _tap("float plait:surfaceCell = 0")),
     _case("velocity_of_the_command", "", "", config={"parameters": {"velocity": 3.0}}, usage=True),
     _case("spacing_of_the_command", "", "", config={"prim": {PILE: {"spacing": 0.0}}}, usage=True),

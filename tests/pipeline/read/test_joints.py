@@ -109,6 +109,37 @@ def test_what_holds_nothing_is_left_out(read) -> None:
     assert not read(BOTH + _joint("Fixed", "bool physics:jointEnabled = 0")).scene.joints
 
 
+def test_what_is_not_active_holds_nothing(read) -> None:
+    shot = read(BOTH.replace('"A" (', '"A" (active = false\n') + _joint("Fixed"))
+    assert not shot.scene.joints and any(
+        "</J>" in warning and "not active" in warning for warning in shot.warnings
+    )
+
+
+@pytest.mark.parametrize("turn", [0.0, 30.0, 77.0])
+def test_mirrored_hinges_keep_their_line(turn: float, read) -> None:
+    """All mirrored and turned alike: the axis lies along what is drawn, and the frames stay together."""
+    group = f"""def Xform "Group"
+{{
+    float xformOp:rotateX = {turn}
+    float3 xformOp:scale = (-1, 1, 1)
+    uniform token[] xformOpOrder = ["xformOp:rotateX", "xformOp:scale"]
+{BOTH}
+}}
+"""
+    lines = f"{MIDDLE}quatf physics:localRot0 = (0.8, 0, 0.6, 0)\nquatf physics:localRot1 = (0.8, 0, 0.6, 0)\n"
+    joint = _joint("Revolute", lines, "/Group/A", "/Group/B")
+    shot = read(group + joint, meters=0.01)
+    # The axis X, turned about Y by 2 acos(.8), then by the cube's quarter about Z, mirrored, and turned about X.
+    drawn = np.array([-0.0, 0.28, -0.96])
+    angle = np.radians(turn)
+    rolled = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+    frames = [_in_world(shot, _only(shot), side) for side in (0, 1)]
+    np.testing.assert_allclose(np.abs(frames[0][:3, 2] @ rolled @ drawn), 1.0, atol=1e-6)
+    np.testing.assert_allclose(frames[0][:3, :3], frames[1][:3, :3], atol=1e-6)
+    assert np.linalg.det(frames[0][:3, :3]) == pytest.approx(1.0)
+
+
 def test_filtered_pairs(read) -> None:
     apart = _cube("A", 100, "rel physics:filteredPairs = </B>", ', "PhysicsFilteredPairsAPI"') + _cube("B", 800)
     shot = read(apart)
@@ -237,6 +268,15 @@ def test_a_generic_joint_of_other_freedoms_is_refused(read) -> None:
         (_joint("Revolute", 'uniform token physics:axis = "Q"'), "physics:axis"),
         (_joint("Fixed", "quatf physics:localRot0 = (0, 0, 0, 0)"), "physics:localRot0"),
         (_joint("Fixed", "point3f physics:localPos1 = (nan, 0, 0)"), "physics:localPos1"),
+        (_joint("Fixed", "string physics:localPos1 = 'here'"), "physics:localPos1"),
+        (_joint("Fixed", "string physics:jointEnabled = 'yes'"), "physics:jointEnabled"),
+        (_joint("Revolute", "string physics:upperLimit = 'up'"), "physics:upperLimit"),
+        (
+            _joint("Revolute", "float drive:angular:physics:stiffness = inf").replace(
+                '"J"', '"J" (prepend apiSchemas = ["PhysicsDriveAPI:angular"])'
+            ),
+            "drive:angular:physics:stiffness",
+        ),
         (
             _joint("Distance", "float physics:minDistance = 9\nfloat physics:maxDistance = 5"),
             "physics:minDistance",

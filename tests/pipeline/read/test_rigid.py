@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from plait.pipeline.config import Config
 from plait.pipeline.errors import InputError
+from plait.pipeline.read import read_shot
 
 BODY = "PhysicsRigidBodyAPI", "PhysicsCollisionAPI", "PhysicsMassAPI"
 # float32 attributes: half a unit in the last place is 6e-8 of a value; a few of them meet.
@@ -20,6 +22,9 @@ DENTED = MESH.format(
     "0, 1, 3, 0, 3, 2, 0, 2, 1, 1, 2, 4, 2, 3, 4, 3, 1, 4",
     "(0, 0, 0), (4, 0, 0), (0, 4, 0), (0, 0, 4), (1, 1, 1)",
 )
+
+
+TURNED = "float3 physics:diagonalInertia = (1, 1, 1)\n"
 
 
 def _prim(
@@ -117,6 +122,23 @@ def test_a_part_has_its_own_centre_and_inertia(read) -> None:
     np.testing.assert_allclose(body.inertia, np.diag([2.0 + own + apart, 1.0 + own, 3.0 + own + apart]), atol=1e-5)
 
 
+def test_a_parts_inertia_is_about_its_authored_centre(read) -> None:
+    """As UsdPhysicsRigidBodyAPI.ComputeMassProperties has it: the shape's is moved there by Steiner's theorem."""
+    lines = "float physics:mass = 5\npoint3f physics:centerOfMass = (0, 2, 0)\n"
+    ball = _prim("Sphere", lines, ("PhysicsCollisionAPI", "PhysicsMassAPI"))
+    body = _only(read(_prim("Xform", schemas=("PhysicsRigidBodyAPI",), inside=ball, name="All")))
+    np.testing.assert_allclose(body.center_of_mass, [0.0, 2.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(body.inertia, np.diag([2.0 + 20.0, 2.0, 2.0 + 20.0]), rtol=1e-6, atol=1e-5)
+
+
+def test_an_open_mesh_that_tells_all_of_its_mass_is_a_part(read) -> None:
+    lines = "float physics:mass = 5\npoint3f physics:centerOfMass = (0, 2, 0)\n"
+    lines += f"float3 physics:diagonalInertia = (1, 2, 3)\n{TRIANGLE}"
+    sheet = _prim("Mesh", lines, ("PhysicsCollisionAPI", "PhysicsMassAPI"))
+    body = _only(read(_prim("Xform", schemas=("PhysicsRigidBodyAPI",), inside=sheet, name="All")))
+    np.testing.assert_allclose(body.inertia, np.diag([1.0, 2.0, 3.0]), atol=1e-6)
+
+
 def test_a_body_that_is_a_collider_itself_has_the_mass_of_all(read) -> None:
     """Its 3 kg lie in itself and its part by volume: a ball of twice the radius has eight parts in nine."""
     inner = _prim(
@@ -164,6 +186,22 @@ def test_velocities_are_in_degrees_and_the_parents_space(read) -> None:
     body = _only(read(f'def Xform "Up"\n{{\n{place}\n{inner}}}\n', meters=0.01))
     np.testing.assert_allclose(body.velocity, [0.0, 2.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(body.angular_velocity, [0.0, np.pi, 0.0], atol=1e-9)
+
+
+def test_what_is_mirrored_has_its_inertia_and_spin_mirrored(read) -> None:
+    """I -> Q I Q^T; a spin is an axial vector, w -> det(Q) Q w."""
+    lines = "float physics:mass = 1\nfloat3 physics:diagonalInertia = (1, 2, 4)\n"
+    lines += "quatf physics:principalAxes = (0.8, 0, 0.6, 0)\nvector3f physics:angularVelocity = (10, 20, 30)\n"
+    place = "float xformOp:rotateZ = 25\nfloat3 xformOp:scale = ({}, 1, 1)\n"
+    place += 'uniform token[] xformOpOrder = ["xformOp:rotateZ", "xformOp:scale"]'
+    plain, mirrored = (
+        _only(read(_prim("Xform", place.format(x), (), _prim("Cube", lines), "Group"))) for x in (1, -1)
+    )
+    angle = np.radians(25.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    flip = turn @ np.diag([-1.0, 1.0, 1.0]) @ turn.T
+    np.testing.assert_allclose(mirrored.inertia, flip @ plain.inertia @ flip.T, atol=1e-6)
+    np.testing.assert_allclose(mirrored.angular_velocity, -flip @ plain.angular_velocity, atol=1e-6)
 
 
 @pytest.mark.parametrize("axis", ["X", "Y", "Z"])
@@ -267,6 +305,23 @@ def test_what_cannot_go_with_the_body_it_is_drawn_beneath_is_said(read) -> None:
     assert any("</Body/Nozzle>" in warning for warning in _moves(read(text)))
 
 
+def test_colliders_beneath_a_body_are_its_parts_or_go_with_it(read) -> None:
+    """As UsdPhysics has it a disabled body is none; a kinematic one beneath another has no mass in that."""
+    collider = _prim("Cube", schemas=("PhysicsCollisionAPI",))
+    off, held = (
+        _prim("Xform", f"bool physics:{line}", ("PhysicsRigidBodyAPI",), collider, name)
+        for line, name in (("rigidBodyEnabled = 0", "Off"), ("kinematicEnabled = 1", "Held"))
+    )
+    shot = read(_prim("Xform", schemas=("PhysicsRigidBodyAPI",), inside=off + held, name="All"))
+    assert {prim.path: prim.role for prim in shot.prims} == {
+        "/All": "rigid", "/All/Off/Body": "rigid", "/All/Held": "animated prop", "/All/Held/Body": "animated prop",
+    }  # fmt: skip
+    assert [(surface.rigid, surface.collides) for surface in shot.scene.surfaces] == [(0, True), (0, True)]
+    assert _only(shot).mass == pytest.approx(8000.0) and not _moves(shot)
+    alone = read(_prim("Cube") + off).scene.surfaces
+    assert [(surface.rigid, surface.collides) for surface in alone] == [(0, True), (None, True)]
+
+
 def test_a_collider_by_role_beneath_a_body_is_part_of_it(read) -> None:
     """On the body itself, or above it, the role stands over its physics."""
     role = 'token plait:role = "collider"'
@@ -345,6 +400,12 @@ def test_what_is_not_simulated(read) -> None:
         (_prim("Cube", "float3 physics:diagonalInertia = (1, -1, 1)"), "physics:diagonalInertia"),
         (_prim("Cube", "point3f physics:centerOfMass = (nan, 0, 0)"), "physics:centerOfMass"),
         (_prim("Cube", "vector3f physics:velocity = (inf, 0, 0)"), "physics:velocity"),
+        (_prim("Cube", "vector3f physics:velocity = (0, 1e30, 0)"), "physics:velocity"),
+        (_prim("Cube", "vector3f physics:angularVelocity = (0, 1e20, 0)"), "physics:angularVelocity"),
+        (_prim("Cube", 'string physics:velocity = "fast"'), "physics:velocity"),
+        (_prim("Cube", 'string physics:mass = "two"'), "physics:mass"),
+        (_prim("Cube", "string physics:kinematicEnabled = 'yes'"), "physics:kinematicEnabled"),
+        (_prim("Cube", f"{TURNED}quatf physics:principalAxes = (nan, 0, 0, 0)"), "physics:principalAxes"),
         (_prim("Cube", "float physics:mass = inf"), "physics:mass"),
         (_prim("Cube", "float physics:density = -2"), "physics:density"),
         (_prim("Cube", _place("double3 translate = (nan, 0, 0)")), "xformOpOrder"),
