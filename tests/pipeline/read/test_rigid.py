@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plait.pipeline.config import Config
 from plait.pipeline.errors import InputError
-from plait.pipeline.read import read_shot
 
 BODY = "PhysicsRigidBodyAPI", "PhysicsCollisionAPI", "PhysicsMassAPI"
 # float32 attributes: half a unit in the last place is 6e-8 of a value; a few of them meet.
