@@ -144,6 +144,20 @@ def solve_where_they_are(
 
 
 @wp.func
+def part_of_energy(islands: Islands, work: Work, r: int, length: wp.float64, tolerance: wp.float64) -> wp.float64:
+    """By which part of its energy an island's impulses, and what parts its overlaps, may add to it.
+
+    Joints give and take while they keep their places exactly, the more the further they turn, and drives and what
+    the animation moves do work: with them only much is too much, and where they turn far.
+    """
+    if begin_of(islands.joint_begin, r) == islands.joint_begin[r]:
+        return tolerance
+    if turns_far(islands, work, r, length):
+        return MUCH
+    return wp.float64(wp.inf)
+
+
+@wp.func
 def hold_energy(
     islands: Islands,
     contacts: Contacts,
@@ -159,16 +173,11 @@ def hold_energy(
     bound: wp.float64,
     sweeps: int,
 ):
-    """Solves an island anew where its impulses have added more than a part of its energy.
-
-    Joints give and take while they keep their places exactly, the more the further they turn, and drives and what
-    the animation moves do work: with them only much is too much, and where they turn far.
-    """
-    jointed = begin_of(islands.joint_begin, r) < islands.joint_begin[r]
-    if jointed and not turns_far(islands, work, r, length):
+    """Solves an island anew where its impulses have added more than a part of its energy."""
+    part = part_of_energy(islands, work, r, length, tolerance)
+    if part == wp.inf:
         return
-    before = kinetic_energy(islands, masses, start, work.velocity, work.angular_momentum, r)
-    most = wp.where(jointed, MUCH, tolerance) * before
+    most = part * kinetic_energy(islands, masses, start, work.velocity, work.angular_momentum, r)
     if gain_of(islands, contacts, rows, masses, motion, start, work, r, length) <= most:
         return
     for rough in range(1, -1, -1):
@@ -194,7 +203,8 @@ def gains_by_parting(
 ) -> bool:
     """Whether an island pushed apart ends with more energy than before its impulses: turned aside, a body spins
     about other axes with the same momentum."""
-    if begin_of(islands.joint_begin, r) < islands.joint_begin[r]:
+    part = part_of_energy(islands, work, r, length, tolerance)
+    if part == wp.inf:
         return False
     after = wp.float64(0.0)
     for i in range(begin_of(islands.body_begin, r), islands.body_begin[r]):
@@ -205,4 +215,4 @@ def gains_by_parting(
         after += HALF * (masses.mass[b] * wp.length_sq(motion.velocity[b]) + wp.dot(momentum, inverse * momentum))
     before = kinetic_energy(islands, masses, start, work.velocity, work.angular_momentum, r)
     given = given_by_animation(islands, contacts, rows, r, length)
-    return after - given > (ONE + tolerance) * before
+    return after - given > (ONE + part) * before
