@@ -11,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from plait.solver.rigid.joint_kernels import solve_joint, take_joint_where_it_is
-from plait.solver.rigid.motion_kernels import HALF, ONE, ZERO, rotation_by, turn_freely, world_inverse
+from plait.solver.rigid.motion_kernels import HALF, ZERO, rotation_by, turn_freely, world_inverse
 from plait.solver.rigid.problem import Island, Problem
 from plait.solver.rigid.row_kernels import carried_by, solve_contact
 
@@ -99,20 +99,29 @@ def solve_where_they_are(p: Problem, at: Island, rough: bool) -> wp.float64:
 
 
 @wp.func
-def hold_energy(p: Problem, at: Island):
-    """Solves an island anew where its impulses have added more than a part of its energy.
+def part_of_energy(p: Problem, at: Island) -> wp.float64:
+    """By which part of its energy an island's impulses, and what parts its overlaps, may add to it.
 
     Joints give and take while they keep their places exactly, the more the further they turn, and drives and what
     the animation moves do work: with them only much is too much, and where they turn far.
     """
-    jointed = at.joint_begin < at.joint_end
-    if jointed and not turns_far(p, at):
+    if at.joint_begin == at.joint_end:
+        return p.effort.tolerance
+    if turns_far(p, at):
+        return MUCH
+    return wp.float64(wp.inf)
+
+
+@wp.func
+def hold_energy(p: Problem, at: Island):
+    """Solves an island anew where its impulses have added more than a part of its energy."""
+    part = part_of_energy(p, at)
+    if part == wp.inf:
         return
-    part = ONE + wp.where(jointed, MUCH, p.effort.tolerance)
-    before = kinetic_energy(p, at, p.work.velocity, p.work.angular_momentum)
+    most = part * kinetic_energy(p, at, p.work.velocity, p.work.angular_momentum)
     for rough in range(1, -1, -1):
         after = kinetic_energy(p, at, p.motion.velocity, p.motion.angular_momentum)
-        if after - (given_energy(p, at) - before) <= part * before:
+        if after - given_energy(p, at) <= most:
             return
         p.work.lack[at.root] = solve_where_they_are(p, at, rough == 1)
 
@@ -123,7 +132,8 @@ def gains_by_parting(p: Problem, at: Island) -> bool:
 
     Turned aside, a body spins about other axes with the same momentum.
     """
-    if at.joint_begin < at.joint_end:
+    part = part_of_energy(p, at)
+    if part == wp.inf:
         return False
     after = wp.float64(0.0)
     for i in range(at.body_begin, at.body_end):
@@ -134,4 +144,4 @@ def gains_by_parting(p: Problem, at: Island) -> bool:
         spin = world_inverse(rotation_by(p.work.push_turn[b]) * turned, inverse) * momentum
         after += HALF * (p.masses.mass[b] * wp.length_sq(p.motion.velocity[b]) + wp.dot(momentum, spin))
     before = kinetic_energy(p, at, p.work.velocity, p.work.angular_momentum)
-    return after - given_energy(p, at) > p.effort.tolerance * before
+    return after - given_energy(p, at) > part * before

@@ -1,10 +1,12 @@
-"""Joints as they are laid out, and where their two sides stand."""
+"""Joints as they are laid out, where their two sides stand and how they move."""
 
 from __future__ import annotations
 
 import warp as wp
 
-from plait.solver.rigid.motion_kernels import ONE, ZERO, Motion
+from plait.solver.rigid.impulse_kernels import place_velocity, push_body
+from plait.solver.rigid.motion_kernels import ONE, ZERO, Masses, Motion
+from plait.solver.rigid.types import Start
 
 wp.set_module_options({"enable_backward": False})
 
@@ -140,6 +142,63 @@ def pose_at_start(joints: Joints, motion: Motion, j: int) -> JointPose:
         body_position(motion, pair[1]),
         body_orientation(motion.orientation, pair[1]),
     )
+
+
+@wp.func
+def pose_after(
+    joints: Joints, motion: Motion, orientation: wp.array(dtype=wp.quatd), j: int, length: wp.float64
+) -> JointPose:
+    """With the bodies gone on for `length` [s] and turned so, and the world as it is at the substep's end."""
+    pair = joints.body[j]
+    x_a = body_position(motion, pair[0])
+    x_b = body_position(motion, pair[1])
+    if pair[0] >= 0:
+        x_a += length * motion.velocity[pair[0]]
+    if pair[1] >= 0:
+        x_b += length * motion.velocity[pair[1]]
+    q_a = body_orientation(orientation, pair[0])
+    q_b = body_orientation(orientation, pair[1])
+    return joint_pose(joints.place, joints.turn, j, x_a, q_a, x_b, q_b)
+
+
+@wp.struct
+class Relative:
+    """The second body's motion against the first, at the joint."""
+
+    velocity: wp.vec3d  # [m/s]
+    spin: wp.vec3d  # [1/s]
+
+
+@wp.func
+def relative_motion(joints: Joints, motion: Motion, spin: wp.array(dtype=wp.vec3d), j: int) -> Relative:
+    pair = joints.body[j]
+    out = Relative()
+    out.velocity = place_velocity(motion.velocity, spin, pair[1], joints.lever_b[j])
+    out.velocity -= place_velocity(motion.velocity, spin, pair[0], joints.lever_a[j])
+    if pair[0] >= 0:
+        out.spin -= spin[pair[0]]
+    if pair[1] >= 0:
+        out.spin += spin[pair[1]]
+    return out
+
+
+@wp.func
+def push_pair(
+    joints: Joints,
+    masses: Masses,
+    motion: Motion,
+    start: Start,
+    spin: wp.array(dtype=wp.vec3d),
+    j: int,
+    force: wp.vec3d,
+    torque: wp.vec3d,
+):
+    """Gives the second body an impulse and an angular impulse, and the first the opposite."""
+    pair = joints.body[j]
+    moment_a = wp.cross(joints.lever_a[j], force) + torque
+    moment_b = wp.cross(joints.lever_b[j], force) + torque
+    push_body(masses, motion, start, spin, pair[0], -force, -moment_a)
+    push_body(masses, motion, start, spin, pair[1], force, moment_b)
 
 
 @wp.func

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from plait.solver.rigid.impulse_kernels import place_velocity, push_body
 from plait.solver.rigid.motion_kernels import HALF, ONE, ZERO, Masses, Motion
 from plait.solver.rigid.types import Contacts, Start, Step
 
@@ -62,12 +63,8 @@ def relative_velocity(
 ) -> wp.vec3d:
     """Of the bodies' places where the impulse acts, a against b."""
     pair = contacts.body[c]
-    u = wp.vec3d()
-    if pair[0] >= 0:
-        u += velocity[pair[0]] + wp.cross(spin[pair[0]], contacts.lever_a[c])
-    if pair[1] >= 0:
-        u -= velocity[pair[1]] + wp.cross(spin[pair[1]], contacts.lever_b[c])
-    return u
+    u = place_velocity(velocity, spin, pair[0], contacts.lever_a[c])
+    return u - place_velocity(velocity, spin, pair[1], contacts.lever_b[c])
 
 
 @wp.func
@@ -95,16 +92,8 @@ def way_of(b: int, core: wp.vec3d, arm: wp.vec3d, motion: Motion, work: Work, le
 def give(contacts: Contacts, masses: Masses, motion: Motion, start: Start, work: Work, c: int, impulse: wp.vec3d):
     """An impulse on a, its opposite on b."""
     pair = contacts.body[c]
-    if pair[0] >= 0:
-        moment = wp.cross(contacts.lever_a[c], impulse)
-        motion.velocity[pair[0]] = motion.velocity[pair[0]] + impulse / masses.mass[pair[0]]
-        motion.angular_momentum[pair[0]] = motion.angular_momentum[pair[0]] + moment
-        work.spin[pair[0]] = work.spin[pair[0]] + start.inertia_inverse[pair[0]] * moment
-    if pair[1] >= 0:
-        moment = wp.cross(contacts.lever_b[c], impulse)
-        motion.velocity[pair[1]] = motion.velocity[pair[1]] - impulse / masses.mass[pair[1]]
-        motion.angular_momentum[pair[1]] = motion.angular_momentum[pair[1]] - moment
-        work.spin[pair[1]] = work.spin[pair[1]] - start.inertia_inverse[pair[1]] * moment
+    push_body(masses, motion, start, work.spin, pair[0], impulse, wp.cross(contacts.lever_a[c], impulse))
+    push_body(masses, motion, start, work.spin, pair[1], -impulse, -wp.cross(contacts.lever_b[c], impulse))
 
 
 @wp.func

@@ -16,7 +16,6 @@ from plait.solver.step import Simulation
 
 FRAME = 1.0 / 24.0
 GRAVITY = 9.81
-SEEDS = range(10)
 # Coarse enough to be at rest as drawn: finer hair of these lengths, held up by its own rest curvature, leaves that
 # equilibrium for a lower one by itself.  Amplitudes fall by e in a quarter of a second.
 DAMPED_HAIR = replace(HAIR, radius=100e-6, damping=8.0)
@@ -24,9 +23,9 @@ LIMP_HAIR = replace(DAMPED_HAIR, radius=40e-6)
 SETTLING = 2.0  # [s] after the last disturbance
 
 
-def seeds(*, quick: bool = False) -> pytest.MarkDecorator:
-    """Ten seeds, slow; with `quick`, the first also in the default run."""
-    marked = [pytest.param(seed, marks=() if quick and seed == 0 else pytest.mark.slow) for seed in SEEDS]
+def seeds(*, quick: bool = False, count: int = 10) -> pytest.MarkDecorator:
+    """So many seeds, slow; with `quick`, the first also in the default run."""
+    marked = [pytest.param(seed, marks=() if quick and seed == 0 else pytest.mark.slow) for seed in range(count)]
     return pytest.mark.parametrize("seed", marked)
 
 

@@ -64,7 +64,7 @@ def energy(scene: Rigid) -> float:
     return 0.5 * float(scene.mass @ np.square(scene.velocity).sum(axis=1) + spin)
 
 
-@seeds(quick=True)
+@seeds(quick=True, count=40)
 def test_thrown_together(seed: int) -> None:
     """In no substep do they gain energy, and both momenta stay, to 1e-12 of what flies."""
     random = np.random.default_rng(seed)
@@ -83,7 +83,7 @@ def test_thrown_together(seed: int) -> None:
     assert np.abs(after[1] - angular).max() < 1e-12 * sum(sizes)
 
 
-@seeds(quick=True)
+@seeds(quick=True, count=40)
 def test_thrown_on_a_floor(seed: int) -> None:
     """They lose energy, but for what lifts them out of each other at `exit_speed`, and none falls through."""
     random = np.random.default_rng(seed)
@@ -98,7 +98,7 @@ def test_thrown_on_a_floor(seed: int) -> None:
     assert scene.position[:, 1].min() > 0.0
 
 
-@seeds(quick=True)
+@seeds(quick=True, count=40)
 def test_jointed_and_thrown_together(seed: int) -> None:
     """Joints swing their bodies' energy as they keep their places, but no more is ever there than at first."""
     random = np.random.default_rng(seed)
