@@ -227,12 +227,12 @@ class Heaps:
         for index, heap in enumerate(self._heaps):
             prim, beside, home = heap.role.prim, _beside(heap.role.prim), heap.shape.box.mean(axis=0)
             own, surfaced = isinstance(heap.shape, Drawn), heap.given["surface"]
-            path = heap.path if own else _free_path(beside, f"{prim.GetName()}{GRAINS}", taken)
+            path = heap.path if own else _free_path(self._source, beside, f"{prim.GetName()}{GRAINS}", taken)
             to_local = WorldToLocal(self._source, prim if own else beside)
             law = heap.role.role
             yield GrainOutput(path, heap.path, index, to_local, law, home, hidden=surfaced)
             if surfaced:
-                path = _free_path(beside, f"{prim.GetName()}{SURFACE}", taken)
+                path = _free_path(self._source, beside, f"{prim.GetName()}{SURFACE}", taken)
                 to_local, spacing = WorldToLocal(self._source, beside), self._spacings[heap.path]
                 cell = heap.given["surfaceCell"] or SURFACE_CELL * spacing
                 if cell < spacing:
@@ -266,12 +266,18 @@ def _beside(prim: Usd.Prim) -> Usd.Prim:
     return parent
 
 
-def _free_path(parent: Usd.Prim, name: str, taken: set[str]) -> str:
-    """A path beneath `parent` that no prim has: by that name, or with the first number that is free after it."""
+def _free_path(source: Source, parent: Usd.Prim, name: str, taken: set[str]) -> str:
+    """A path beneath `parent` that no prim has: by that name, or with the first number that is free after it.
+
+    Warns of a prim by that name which looks like grains: over a result they are drawn a second time.
+    """
     stage, number = parent.GetStage(), 1
     while True:
         path = str(parent.GetPath().AppendChild(name if number == 1 else f"{name}{number}"))
-        if path not in taken and not stage.GetPrimAtPath(path):
+        there = stage.GetPrimAtPath(path)
+        if path not in taken and not there:
             taken.add(path)
             return path
+        if path not in taken and there.IsA(UsdGeom.PointBased):
+            source.warn("is drawn already, and stays beside what comes back: is the shot a result?", there)
         number += 1

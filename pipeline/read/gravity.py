@@ -47,7 +47,7 @@ def read_gravity(source: Source) -> np.ndarray:
 def _owner(source: Source, scenes: Sequence[Usd.Prim]) -> Usd.Prim:
     """Of several scenes the first that a rigid body or collider names as its owner; else the first of all."""
     paths = {scene.GetPath(): scene for scene in scenes}
-    for prim in source.stage.Traverse():
+    for prim in source.stage.Traverse(PREDICATE):
         relation = prim.GetRelationship("physics:simulationOwner")
         for target in relation.GetTargets() if relation else ():
             if target in paths:

@@ -234,6 +234,17 @@ def test_where_they_come_back(read) -> None:
     assert grains.hidden and surface.cell == pytest.approx(1.5)
     report = next(prim for prim in shot.prims if prim.path == "/Set/Frame/Heap")
     assert "/Set/Heap_grains2" in report.recognised and report.sizes == {"grains": 8}
+    assert not any("drawn already" in warning for warning in shot.warnings)
+
+
+def test_a_surface_finer_than_its_grains_and_a_shot_that_is_a_result_are_said(read) -> None:
+    lines = "bool plait:surface = 1\nfloat plait:surfaceCell = 0.5"
+    shot = read(_prim("Cube", "float plait:spacing = 1", name="Heap", inside=lines))
+    assert any("</Heap> plait:surfaceCell" in warning for warning in shot.warnings)
+    result = _prim("Cube", "float plait:spacing = 1", name="Heap") + 'def Points "Heap_grains"\n{\n}\n'
+    shot = read(result)
+    assert any("</Heap_grains>: is drawn already" in warning for warning in shot.warnings)
+    assert shot.grains[0].prim_path == "/Heap_grains2"
 
 
 def test_no_points_are_no_grains(read) -> None:

@@ -109,6 +109,14 @@ def test_what_holds_nothing_is_left_out(read) -> None:
     assert not read(BOTH + _joint("Fixed", "bool physics:jointEnabled = 0")).scene.joints
 
 
+def test_a_joint_that_lets_go_later_holds_and_that_is_said(read) -> None:
+    for first in (0, 1):
+        lines = f"bool physics:jointEnabled.timeSamples = {{1: {first}, 5: {1 - first}}}"
+        shot = read(BOTH + _joint("Fixed", lines))
+        assert len(shot.scene.joints) == first and len(shot.scene.filtered) == first
+        assert any("</J> physics:jointEnabled: is animated" in warning for warning in shot.warnings)
+
+
 def test_what_is_not_active_holds_nothing(read) -> None:
     shot = read(BOTH.replace('"A" (', '"A" (active = false\n') + _joint("Fixed"))
     assert not shot.scene.joints and any(
