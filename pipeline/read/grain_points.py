@@ -116,7 +116,8 @@ def find_spacing(positions: np.ndarray) -> float:
 
 def _companions(positions: np.ndarray, cell: float) -> float:
     """How many the cell of a typical point holds."""
-    at = np.floor((positions - positions.min(axis=0)) / cell).astype(np.uint64)
+    # What lies too far off to be numbered shares the last cells.
+    at = np.minimum((positions - positions.min(axis=0)) / cell, 2.0**63).astype(np.uint64)
     with np.errstate(over="ignore"):
         # Few cells that differ share a key, and do no harm.
         keys = at @ np.array([73856093, 19349663, 83492791], np.uint64)

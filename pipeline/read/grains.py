@@ -180,6 +180,10 @@ class Heaps:
         """Raises InputError for a box of grains so wide that its cells have no numbers."""
         for heap in self._heaps:
             widest = float(np.ptp(heap.shape.box, axis=0).max()) / self._spacings[heap.path]
+            cell = heap.given["surfaceCell"] if heap.given["surface"] else None
+            if cell and not widest * self._spacings[heap.path] / cell < WIDEST:
+                problem = f"is {cell:.3g} m, too small to number the cells of what is {widest:.3g} spacings wide"
+                raise self._source.error(problem, heap.role.prim, "plait:surfaceCell", "author a larger one")
             if not widest < WIDEST:
                 raise self._source.error(
                     f"is {widest:.3g} spacings wide, more than {WIDEST}",

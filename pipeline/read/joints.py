@@ -14,7 +14,7 @@ from plait.pipeline.read.joint_kinds import Drawn, drawn_kind
 from plait.pipeline.read.motions import Placement
 from plait.pipeline.read.rigid import Props
 from plait.pipeline.read.roles import Role
-from plait.pipeline.read.shapes import checked_axis, turn_from_z
+from plait.pipeline.read.shapes import turn_from_z
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.turns import of_quaternion, rotation_of
 from plait.solver.scene import Drive, Joint, Pose, StaticMotion
@@ -65,8 +65,6 @@ def _read(source: Source, prim: Usd.Prim, props: Props) -> Joint | None:
         source.warn("holds no simulated body to another or to the world; left out", prim)
         return None
     held = drawn_kind(source, prim)
-    if held.kind in ("revolute", "prismatic", "spherical") and prim.HasAttribute("physics:axis"):
-        checked_axis(source, prim.GetAttribute("physics:axis"))
     turn = turn_from_z(held.axis) if held.axis else np.eye(3)
     _tell_of_breaking(source, joint)
     locals_ = (
@@ -109,6 +107,8 @@ def _holder(source: Source, prim: Usd.Prim, relation: Usd.Relationship) -> Usd.P
     targets = relation.GetTargets()
     if not targets:
         return source.stage.GetPseudoRoot()
+    if len(targets) > 1:
+        raise source.error(f"names {len(targets)} prims", prim, relation.GetName(), "name one body")
     holder = source.stage.GetPrimAtPath(targets[0])
     if not holder:
         raise source.error(f"names <{targets[0]}>, which is not there", prim, relation.GetName(), "name a body")

@@ -15,6 +15,9 @@ from plait.pipeline.read.surfaces import Body
 from plait.pipeline.read.turns import of_quaternion, rotation_of
 from plait.solver.rigid.mass_properties import MassProperties, of_mesh, of_shape
 
+# How far the numbers of a plate, whose largest moment is the sum of the others, may be rounded.
+ROUNDING = 1e-3
+
 
 @dataclass(frozen=True)
 class Part:
@@ -123,6 +126,9 @@ def _inertia(source: Source, prim: Usd.Prim, rest: np.ndarray) -> np.ndarray | N
     if not (np.isfinite(diagonal).all() and (diagonal > 0.0).all()):
         found = ", ".join(f"{value:g}" for value in diagonal)
         raise source.error(f"is ({found})", prim, "physics:diagonalInertia", "author three positive numbers")
+    if 2.0 * diagonal.max() > (1.0 + ROUNDING) * diagonal.sum():
+        text = f"is {tuple(map(float, diagonal))}, which no body has: one is above the sum of the others"
+        source.warn(text, prim, "physics:diagonalInertia")
     turn = rotation_of(rest[:3, :3])
     axes = values.quaternion(source, _authored(prim, "physics:principalAxes"))
     if axes is not None and axes.GetLength() > 0.0:

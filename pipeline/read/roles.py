@@ -323,6 +323,8 @@ class _Assignment:
         return [role for role in found if role is not None]
 
     def _checked(self, role: Role) -> Role:
+        if role.role != SKIPPED:
+            values.check_schema(self._source, role.prim)
         if role.role == "strands" and role.authored:
             reason = curves.refusal(role.prim) or self._why_unwritable(role.prim)
             if reason:

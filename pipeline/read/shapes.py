@@ -90,14 +90,9 @@ def turn_to_axis(source: Source, prim: Usd.Prim) -> np.ndarray:
 
 
 def _axis(source: Source, prim: Usd.Prim) -> str:
-    return checked_axis(source, prim.GetAttribute("axis"))
-
-
-def checked_axis(source: Source, attribute: Usd.Attribute) -> str:
-    """Raises InputError for what is none of X, Y and Z."""
-    axis = str(attribute.Get(source.start))
+    axis = str(prim.GetAttribute("axis").Get(source.start))
     if axis not in ("X", "Y", "Z"):
-        raise source.error(f"is {axis!r}", attribute.GetPrim(), attribute.GetName(), "author X, Y or Z")
+        raise source.error(f"is {axis!r}", prim, "axis", "author X, Y or Z")
     return axis
 
 

@@ -274,6 +274,10 @@ def test_a_generic_joint_of_other_freedoms_is_refused(read) -> None:
     [
         (_joint("Fixed", body1="/Gone"), "physics:body1"),
         (_joint("Revolute", 'uniform token physics:axis = "Q"'), "physics:axis"),
+        (_joint("Revolute", 'string physics:upperLimit = "wide"'), "physics:upperLimit"),
+        (_joint("Fixed", "float physics:localPos0 = 1"), "physics:localPos0"),
+        (_joint("Fixed", "float3 physics:localRot1 = (1, 0, 0)"), "physics:localRot1"),
+        (_joint("Fixed").replace("</B>", "[</B>, </A>]"), "physics:body1"),
         (_joint("Fixed", "quatf physics:localRot0 = (0, 0, 0, 0)"), "physics:localRot0"),
         (_joint("Fixed", "point3f physics:localPos1 = (nan, 0, 0)"), "physics:localPos1"),
         (_joint("Fixed", "string physics:localPos1 = 'here'"), "physics:localPos1"),
@@ -288,6 +292,12 @@ def test_a_generic_joint_of_other_freedoms_is_refused(read) -> None:
         (
             _joint("Distance", "float physics:minDistance = 9\nfloat physics:maxDistance = 5"),
             "physics:minDistance",
+        ),
+        (
+            _joint("Revolute", 'uniform token drive:angular:physics:type = "torque"').replace(
+                '"J"', '"J" (prepend apiSchemas = ["PhysicsDriveAPI:angular"])'
+            ),
+            "drive:angular:physics:type",
         ),
         (
             _joint("Revolute", "float drive:angular:physics:damping = -1").replace(

@@ -103,6 +103,13 @@ def test_authored_inertia_turns_with_its_axes_and_the_prim(read) -> None:
     np.testing.assert_allclose(body.center_of_mass, [0.0, 1.0, 0.0], atol=1e-6)
 
 
+def test_an_inertia_that_no_body_has_is_told(read) -> None:
+    """A plate's largest moment is the sum of the others; more than that none has."""
+    for largest, told in ((2, False), (3, True)):
+        warnings = read(_prim("Cube", f"float3 physics:diagonalInertia = (1, 1, {largest})")).warnings
+        assert any("physics:diagonalInertia" in line for line in warnings) == told
+
+
 def test_a_part_has_its_own_centre_and_inertia(read) -> None:
     """Of two balls one tells all; the body's follow by Steiner's theorem. Scales move its centre alone."""
     lines = (
@@ -405,6 +412,9 @@ def test_what_is_not_simulated(read) -> None:
         (_prim("Cube", "string physics:kinematicEnabled = 'yes'"), "physics:kinematicEnabled"),
         (_prim("Cube", f"{TURNED}quatf physics:principalAxes = (nan, 0, 0, 0)"), "physics:principalAxes"),
         (_prim("Cube", "float physics:mass = inf"), "physics:mass"),
+        (_prim("Cube", 'string physics:mass = "heavy"'), "physics:mass"),
+        (_prim("Cube", "float physics:velocity = 1"), "physics:velocity"),
+        (_prim("Cube", 'string size = "large"'), "size"),
         (_prim("Cube", "float physics:density = -2"), "physics:density"),
         (_prim("Cube", _place("double3 translate = (nan, 0, 0)")), "xformOpOrder"),
         (_prim("Cube", _place("float3 scale = (0, 1, 1)")), "xformOpOrder"),
