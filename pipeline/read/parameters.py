@@ -16,7 +16,10 @@ from plait.pipeline.config import Config
 from plait.pipeline.errors import UsageError
 from plait.pipeline.read import values
 from plait.pipeline.read.parameter_table import NAMES, PARAMETERS, Parameter, of_role
-from plait.pipeline.read.source import Source
+from plait.pipeline.read.source import PREDICATE, Source
+
+# What is authored under `plait:` beside the parameters.
+OTHERS = ("role", "skin", "guides", "attach", "emit")
 
 
 def matches_any(pattern: str, paths: list[str]) -> bool:
@@ -47,6 +50,17 @@ class Given:
 
     def __getitem__(self, name: str) -> Any:
         return self.authored.get(name, of_role(self.role)[name].default)
+
+
+def tell_of_unknown(source: Source) -> None:
+    """A warning for every `plait:` attribute or relationship that nothing reads: it may be misspelt."""
+    for prim in source.stage.Traverse(PREDICATE):
+        for held in prim.GetAuthoredPropertiesInNamespace("plait"):
+            name = held.GetName().split(":")[1]
+            if name not in (*NAMES, *OTHERS):
+                near = difflib.get_close_matches(name, (*NAMES, *OTHERS), n=1)
+                hint = f"; did you mean plait:{near[0]}" if near else ""
+                source.warn(f"is nothing that is read{hint}", prim, held.GetName())
 
 
 def resolve(

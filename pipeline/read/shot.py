@@ -67,6 +67,7 @@ class _Reader:
 
     def shot(self) -> Shot:
         self._check_patterns()
+        parameters.tell_of_unknown(self.source)
         grooms = read_grooms(self.source, self.roles, self.config)
         self.source.origin = self._origin(grooms)
         tissues = self._tissues()

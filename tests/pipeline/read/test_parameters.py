@@ -168,3 +168,13 @@ def test_the_table_has_a_row_for_each() -> None:
     lines = parameter_table.as_markdown().splitlines()
     assert len(lines) == 2 + len(parameter_table.PARAMETERS)
     assert all(line.count("|") == lines[0].count("|") for line in lines)
+
+
+def test_what_is_misspelt_is_told(read) -> None:
+    """An attribute of `plait:` that nothing reads, with what it may have been meant to be."""
+    (line,) = [
+        line
+        for line in read(_hair("float plait:dampng = 5", "float plait:density = 900")).warnings
+        if "plait:" in line
+    ]
+    assert "</Hair> plait:dampng" in line and "plait:damping" in line
