@@ -32,7 +32,10 @@ def _of_pairs(source: Source, surfaces: Sequence[Surface]) -> Iterator[tuple[Ind
     for prim in source.stage.Traverse(PREDICATE):
         if prim.HasAPI(UsdPhysics.FilteredPairsAPI):
             own = _beneath(surfaces, str(prim.GetPath()))
-            for target in UsdPhysics.FilteredPairsAPI(prim).GetFilteredPairsRel().GetTargets():
+            pairs = UsdPhysics.FilteredPairsAPI(prim).GetFilteredPairsRel()
+            for target in pairs.GetTargets():
+                if not source.stage.GetPrimAtPath(target):
+                    source.warn(f"names <{target}>, which is not there", prim, pairs.GetName())
                 yield own, _beneath(surfaces, str(target))
 
 

@@ -27,6 +27,8 @@ from plait.pipeline.read.turns import rotation_of
 from plait.pipeline.shot import TransformOutput
 from plait.solver.scene import Joint, Motion, Pose, RigidBody, Surface
 
+# What tells the shape of a mesh or simple shape.
+SHAPED_BY = ("points", "size", "radius", "height")
 # The largest over the smallest scale of a body that still has a volume.
 FLATTEST = 1e8
 # [m/s], [rad/s]: no authored velocity is meant to be larger.
@@ -172,6 +174,8 @@ class Props:
         if body.binding is not None:
             mend = "take its binding off, or make it a kinematic body"
             raise self._source.error("is skinned, which a rigid body cannot be", prim, "skel:skeleton", mend)
+        for name in SHAPED_BY:
+            self._source.tell_if_animated(prim.GetAttribute(name))
         return Part(body, parameters.resolve(self._source, prim, RIGID, config, holder))
 
     def _carry(self) -> None:

@@ -155,6 +155,16 @@ def test_filtered_pairs(read) -> None:
     assert shot.scene.filtered == ((names.index("/A"), names.index("/B")),)
 
 
+def test_a_filtered_pair_that_is_not_there_is_told(read) -> None:
+    gone = _cube("A", 100, "rel physics:filteredPairs = </Gone>", ', "PhysicsFilteredPairsAPI"')
+    assert any("</A> physics:filteredPairs: names </Gone>" in line for line in read(gone).warnings)
+
+
+def test_a_joint_that_usd_does_not_know_is_told(read) -> None:
+    warnings = read(BOTH + _joint("Gear")).warnings
+    assert any("</J>" in line and "PhysicsGearJoint" in line for line in warnings)
+
+
 def test_a_joint_keeps_what_it_holds_apart(read) -> None:
     """Also from what is not simulated; unless it says otherwise."""
     ground = 'def Cube "A" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {}\n'

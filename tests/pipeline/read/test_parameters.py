@@ -172,9 +172,6 @@ def test_the_table_has_a_row_for_each() -> None:
 
 def test_what_is_misspelt_is_told(read) -> None:
     """An attribute of `plait:` that nothing reads, with what it may have been meant to be."""
-    (line,) = [
-        line
-        for line in read(_hair("float plait:dampng = 5", "float plait:density = 900")).warnings
-        if "plait:" in line
-    ]
+    warnings = read(_hair("float plait:dampng = 5", "float plait:density = 900")).warnings
+    (line,) = [line for line in warnings if "plait:" in line]
     assert "</Hair> plait:dampng" in line and "plait:damping" in line

@@ -103,6 +103,13 @@ def test_authored_inertia_turns_with_its_axes_and_the_prim(read) -> None:
     np.testing.assert_allclose(body.center_of_mass, [0.0, 1.0, 0.0], atol=1e-6)
 
 
+def test_a_shape_that_is_animated_is_told(read) -> None:
+    """A body keeps the shape of the first frame."""
+    shot = read(_prim("Cube", "double size.timeSamples = { 1: 2, 5: 3 }"))
+    assert any("</Body> size: is animated" in line for line in shot.warnings)
+    np.testing.assert_allclose(np.ptp(shot.scene.surfaces[0].points, axis=0), 2.0)
+
+
 def test_an_inertia_that_no_body_has_is_told(read) -> None:
     """A plate's largest moment is the sum of the others; more than that none has."""
     for largest, told in ((2, False), (3, True)):
