@@ -29,7 +29,6 @@ def read_gravity(source: Source) -> np.ndarray:
     if len(scenes) > 1:
         prim = _owner(source, scenes)
         source.warn(f"one of {len(scenes)} physics scenes; gravity is taken from this one", prim)
-    values.check_schema(source, prim)
     scene = UsdPhysics.Scene(prim)
     for attribute in (scene.GetGravityDirectionAttr(), scene.GetGravityMagnitudeAttr()):
         source.tell_if_animated(attribute)

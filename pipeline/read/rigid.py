@@ -28,7 +28,7 @@ from plait.pipeline.shot import TransformOutput
 from plait.solver.scene import Joint, Motion, Pose, RigidBody, Surface
 
 # What tells the shape of a mesh or simple shape.
-SHAPED_BY = ("points", "size", "radius", "height")
+SHAPED_BY = ("points", "size", "radius", "radiusBottom", "radiusTop", "height")
 # The largest over the smallest scale of a body that still has a volume.
 FLATTEST = 1e8
 # [m/s], [rad/s]: no authored velocity is meant to be larger.

@@ -324,7 +324,7 @@ class _Assignment:
 
     def _checked(self, role: Role) -> Role:
         if role.role != SKIPPED:
-            values.check_schema(self._source, role.prim)
+            values.check_tokens(self._source, role.prim)
         if role.role == "strands" and role.authored:
             reason = curves.refusal(role.prim) or self._why_unwritable(role.prim)
             if reason:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pxr import Usd, UsdGeom
 
+from plait.pipeline.read import values
 from plait.pipeline.read.source import Source
 
 SIDES = 32
@@ -29,10 +30,10 @@ def polygons(source: Source, prim: Usd.Prim) -> Polygons:
 
 
 def _size(source: Source, prim: Usd.Prim, name: str, zero: bool = False) -> float:
-    value = prim.GetAttribute(name).Get(source.start)
+    value = values.number(source, prim.GetAttribute(name))
     if not (np.isfinite(value) and (value > 0.0 or (zero and value == 0.0))):
         raise source.error(f"is {value:g}", prim, name, "author a positive number")
-    return float(value)
+    return value
 
 
 def _cube(source: Source, prim: Usd.Prim) -> Polygons:

@@ -105,7 +105,7 @@ def test_a_run_that_begins_too_late_is_told(
 
 
 def test_bodies_fall_in_the_world_not_with_their_group(result: tuple[Path, Path]) -> None:
-    """x = x0 + g t^2 / 2, which any step of a rigid body's exact free flight gives."""
+    """x = x0 + g t^2 / 2, to the first order of the step."""
     shot, out = result
     for prim in (BALL, BRICK):
         for code in range(1, FRAMES + 1):
