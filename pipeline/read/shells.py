@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Body
 from plait.pipeline.read.triangles import weld
 from plait.pipeline.read.turns import nearest_axes
+from plait.solver.scene import Surface
 
 # Of the cube about it, the part of a surface's volume below which it encloses none.
 FLAT = 1e-12
@@ -67,8 +69,7 @@ def read_shell(source: Source, body: Body, given: Given) -> Shell:
     if edges:
         problem = f"is not closed: {edges} of its edges have a face on one side alone"
         raise source.error(problem, body.prim, "faceVertexIndices", "close it, so that it has an inside to fill")
-    a, b, c = (points[triangles[:, k]] - points.mean(axis=0) for k in range(3))
-    volume = float(np.einsum("ni,ni->", a, np.cross(b, c))) / 6.0
+    volume = _volume(points, triangles)
     if not abs(volume) > FLAT * float(np.ptp(points, axis=0).max()) ** 3:
         raise source.error("encloses no volume", body.prim, "points", "give it an inside to fill")
     if volume < 0.0:  # drawn inside out, or mirrored
@@ -76,6 +77,26 @@ def read_shell(source: Source, body: Body, given: Given) -> Shell:
     axes = nearest_axes(source.placed_at_start(body.prim)[:3, :3])
     velocity = axes @ (given["velocity"] if "velocity" in given else np.zeros(3))
     return Shell(body.prim, points, np.ascontiguousarray(triangles), abs(volume), velocity)
+
+
+def tell_of_inward(source: Source, surfaces: Sequence[Surface]) -> None:
+    """A warning for each closed collider whose faces point inwards: it may be a room, or drawn inside out."""
+    for surface in surfaces:
+        if (
+            surface.collides
+            and not _open_edges(surface.triangles)
+            and _volume(surface.points, surface.triangles) < 0.0
+        ):
+            text = (
+                "its faces point inwards: grains are kept within it, not out; turn them round if that is not meant"
+            )
+            source.warn(text, surface.name, "orientation")
+
+
+def _volume(points: np.ndarray, triangles: np.ndarray) -> float:
+    """That a closed surface encloses, below zero where it faces inwards: the divergence theorem."""
+    a, b, c = (points[triangles[:, k]] - points.mean(axis=0) for k in range(3))
+    return float(np.einsum("ni,ni->", a, np.cross(b, c))) / 6.0
 
 
 def _open_edges(triangles: np.ndarray) -> int:

@@ -26,6 +26,7 @@ from plait.pipeline.read.polygons import mesh_sizes
 from plait.pipeline.read.rigid import Props, describe
 from plait.pipeline.read.roles import Role
 from plait.pipeline.read.roots import find_roots
+from plait.pipeline.read.shells import tell_of_inward
 from plait.pipeline.read.skeletons import Skeletons
 from plait.pipeline.read.source import Source
 from plait.pipeline.read.surfaces import Bodies, Body
@@ -74,6 +75,8 @@ class _Reader:
         props = Props(self.source, self.bodies, self.roles, self.config)
         heaps = Heaps(self.source, self.bodies, self.skeletons, self.roles, self.config, self.frames, self.fill)
         surfaces, carrying = self._surfaces(grooms, tissues, props, heaps)
+        if len(heaps):
+            tell_of_inward(self.source, surfaces)
         choose_leaders(self.source, grooms)
         assembly = Assembly(self.source, self.skeletons, grooms, surfaces)
         attachments = assembly.attachments(self.bodies, self.roles)

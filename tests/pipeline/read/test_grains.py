@@ -216,6 +216,16 @@ def test_an_emitter_on_a_prop_is_told(read) -> None:
     assert not any("does not move" in warning for warning in read(prop.format("") + tap).warnings)
 
 
+@pytest.mark.parametrize("scale", [1, -1])
+def test_a_collider_that_faces_inwards_is_told_whether_mirrored_or_not(scale: int, read) -> None:
+    """Grains are kept where its faces point: of that the artist hears, and only of that."""
+    inward = "[" + ", ".join(reversed(BOX_FACES[1:-1].split(", "))) + "]"
+    sand = _prim("Sphere", "float plait:spacing = 0.5", name="Heap")
+    for faces, told in ((BOX_FACES, False), (inward, True)):
+        box = _box(_place(f"float3 scale = ({scale}, 1, 1)"), faces=faces).replace('"sand"', '"collider"')
+        assert any("</Pile> orientation" in line for line in read(box + sand).warnings) == told
+
+
 def test_grains_start_with_the_shot_or_the_frames_to_write(write) -> None:
     path = write(_box("float plait:spacing = 4"))
     for frames, first in ((None, 1), ((4, 8), 1), ((-3, 8), -3)):
