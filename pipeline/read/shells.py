@@ -82,14 +82,9 @@ def read_shell(source: Source, body: Body, given: Given) -> Shell:
 def tell_of_inward(source: Source, surfaces: Sequence[Surface]) -> None:
     """A warning for each closed collider whose faces point inwards: it may be a room, or drawn inside out."""
     for surface in surfaces:
-        if (
-            surface.collides
-            and not _open_edges(surface.triangles)
-            and _volume(surface.points, surface.triangles) < 0.0
-        ):
-            text = (
-                "its faces point inwards: grains are kept within it, not out; turn them round if that is not meant"
-            )
+        closed = surface.collides and not _open_edges(surface.triangles)
+        if closed and _volume(surface.points, surface.triangles) < 0.0:
+            text = "its faces point inwards: grains are kept within it, not out; turn them round where not meant"
             source.warn(text, surface.name, "orientation")
 
 
