@@ -44,6 +44,7 @@ def read_drawn(source: Source, prim: Usd.Prim, given: Given, binding: SkeletonBi
         raise source.error("is skinned, which grains cannot be", prim, "skel:skeleton", "take its binding off")
     points, meters = UsdGeom.Points(prim), source.units.meters_per_unit
     held = values.vectors(source, points.GetPointsAttr())
+    source.tell_if_animated(points.GetPointsAttr())
     placement = Placement(source, prim)
     linear = placement.at_start[:3, :3]
     positions = transform(placement.metric(source.start), held * meters)

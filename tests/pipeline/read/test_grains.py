@@ -146,6 +146,14 @@ def test_points_are_taken_as_they_are(spacing: float, lines: str, read) -> None:
     np.testing.assert_allclose(np.cbrt(sand.volumes), spacing, rtol=0.2)
 
 
+def test_points_that_are_animated_are_told(read) -> None:
+    """They are grains as they lie at the first frame."""
+    lines = "point3f[] points.timeSamples = { 1: [(0, 0, 0)], 5: [(0, 9, 0)] }\nfloat plait:spacing = 1"
+    shot = read(_prim("Points", lines))
+    np.testing.assert_array_equal(_only(shot).positions + shot.scene.origin, [(0, 0, 0)])
+    assert any("</Pile> points: is animated" in line for line in shot.warnings)
+
+
 def test_points_keep_ids_and_widths_and_velocities(read) -> None:
     lines = (
         "int64[] ids = [40, 7]",
