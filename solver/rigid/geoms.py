@@ -103,6 +103,11 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
 
 
+def _face_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    return _unit(np.cross(b - a, c - a))
+
+
 def vertex_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(n, 3) unit, weighted by the triangles' angles."""
     out = np.zeros_like(points)
@@ -118,7 +123,7 @@ def vertex_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 def fans_of(triangles: np.ndarray, vertices: np.ndarray, points: np.ndarray) -> np.ndarray:
     """(n, 4) of each vertex up to four triangles that face differently, -1 for none."""
     faces = np.asarray(triangles)
-    normals = _unit(np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]))
+    normals = _face_normals(points, faces)
     about: dict[int, list[int]] = {}
     for face, corners_of in enumerate(faces.tolist()):
         for v in corners_of:
@@ -134,9 +139,7 @@ def convex_edges(points: np.ndarray, triangles: np.ndarray, bend: float) -> np.n
     Of each both ends and the corners opposite, -1 for none.
     """
     faces = np.asarray(triangles)
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    normals = _face_normals(points, faces)
     sides: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for face, (i, j, k) in enumerate(faces.tolist()):
         for p, q, r in ((i, j, k), (j, k, i), (k, i, j)):
@@ -156,9 +159,8 @@ def convex_edges(points: np.ndarray, triangles: np.ndarray, bend: float) -> np.n
 def corners(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Of the vertices at convex edges those where these do not just go straight on: what touches first."""
     ways: dict[int, list[np.ndarray]] = {}
-    for i, j in edges[:, :2].tolist():
-        way = points[j] - points[i]
-        way = way / max(np.linalg.norm(way), 1e-300)
+    along = _unit(points[edges[:, 1]] - points[edges[:, 0]])
+    for (i, j), way in zip(edges[:, :2].tolist(), along, strict=True):
         ways.setdefault(i, []).append(way)
         ways.setdefault(j, []).append(-way)
     straight = [v for v, out in ways.items() if len(out) == 2 and out[0] @ out[1] < -1.0 + 1e-9]
@@ -254,53 +256,48 @@ class GeomTable:
         geoms.friction = hold([-1.0 if s.friction is None else s.friction for s in surfaces], wp.float64)
         geoms.thickness = hold([s.thickness for s in surfaces], wp.float64)
         geoms.restitution = hold([model.scene.restitution(s) for s in surfaces], wp.float64)
-        self._hold_features(items, meshes)
+        self._hold_features()
+        self._hold_meshes(items, meshes)
         offsets, others = filter_lists(self.surfaces, model)
         geoms.filter_offsets, geoms.filtered = hold(offsets, wp.int32), hold(others, wp.int32)
 
-    def _hold_features(self, items: list[Collider], meshes: list) -> None:
-        geoms, hold, parts = self.geoms, self._array, self._parts[: self.carried_count]
-        vertex, triangle, edges, index, fans = 0, 0, [], [], []
-        ids, first_triangle = [], []
-        for k, (item, part) in enumerate(zip(items, self._parts, strict=True)):
-            if k < self.carried_count:
-                edges.append(np.where(part.edges < 0, -1, part.edges + vertex))
-                vertex += len(part.vertices)
-                first_triangle.append(triangle)
-                triangle += len(meshes[k][1]) if item.surface.shape is None else 0
-                index.append(np.zeros(len(part.points)))
-                fans.append(np.full((len(part.points), 4), -1))
-                ids.append(self._mesh(*meshes[k]) if item.surface.shape is None else 0)
-            else:
-                edges.append(np.where(part.edges < 0, -1, part.edges + item.first_point))
-                first_triangle.append(item.first_triangle)
-                index.append(part.index + item.first_point)
-                fans.append(np.where(part.fans < 0, -1, part.fans + item.first_triangle))
-                ids.append(0)
-        counts = [len(part.points) for part in self._parts]
-        geoms.mesh = hold(ids, wp.uint64)
-        geoms.first_triangle = hold(first_triangle, wp.int32)
-        geoms.first_point = hold(_offsets(counts), wp.int32)
-        geoms.first_edge = hold(_offsets([len(e) for e in edges]), wp.int32)
-        slots = [min(SLOTS + SLOTS_A_POINT * count, MAX_SLOTS) for count in counts]
-        self.first_slot = _offsets(slots)
+    def _hold_features(self) -> None:
+        geoms, hold, parts = self.geoms, self._array, self._parts
+        for name, width in (("points", 3), ("inward", 3), ("axis", 3), ("radius", 0), ("edge_radius", 0)):
+            joined = _joined([getattr(part, name) for part in parts], width)
+            setattr(geoms, name, hold(joined, wp.vec3d if width else wp.float64))
+        counts = [len(part.points) for part in parts]
+        self.first_slot = _offsets([min(SLOTS + SLOTS_A_POINT * count, MAX_SLOTS) for count in counts])
         geoms.first_slot = hold(self.first_slot, wp.int32)
+        geoms.first_point = hold(_offsets(counts), wp.int32)
+        geoms.first_edge = hold(_offsets([len(part.edges) for part in parts]), wp.int32)
+        # What bodies carry has points of its own; the others' are where the animation has them.
+        carried = parts[: self.carried_count]
+        others = list(zip(parts[self.carried_count :], self.colliders, strict=True))
+        index = [np.zeros(len(part.points)) for part in carried]
+        index += [part.index + item.first_point for part, item in others]
         geoms.point_index = hold(_joined(index, 0), wp.int32)
+        fans = [np.full((len(part.points), 4), -1) for part in carried]
+        fans += [_moved(part.fans, item.first_triangle) for part, item in others]
         geoms.fans = hold(_joined(fans, 4), wp.vec4i)
-        geoms.inward = hold(_joined([p.inward for p in self._parts], 3), wp.vec3d)
-        geoms.points = hold(_joined([p.points for p in self._parts], 3), wp.vec3d)
-        geoms.radius = hold(_joined([p.radius for p in self._parts], 0), wp.float64)
-        geoms.axis = hold(_joined([p.axis for p in self._parts], 3), wp.vec3d)
+
+    def _hold_meshes(self, items: list[Collider], meshes: list) -> None:
+        """What bodies carry has vertices of its own, in `vertices`; edges and triangles index these."""
+        count = self.carried_count
+        geoms, hold, carried = self.geoms, self._array, self._parts[:count]
+        vertex = _offsets([len(part.vertices) for part in carried])[:-1]
+        geoms.vertices = hold(_joined([part.vertices for part in carried], 3), wp.vec3d)
+        first_vertex = [*vertex, *(item.first_point for item in self.colliders)]
+        edges = [_moved(part.edges, first) for part, first in zip(self._parts, first_vertex, strict=True)]
         geoms.edges = hold(_joined(edges, 4), wp.vec4i)
-        geoms.edge_radius = hold(_joined([p.edge_radius for p in self._parts], 0), wp.float64)
-        geoms.vertices = hold(_joined([p.vertices for p in parts], 3), wp.vec3d)
-        # Triangles of meshes that bodies carry have vertices of their own first in `vertices`.
-        start, triangles = 0, []
-        for k, part in enumerate(parts):
-            if items[k].surface.shape is None:
-                triangles.append(meshes[k][1] + start)
-            start += len(part.vertices)
-        geoms.triangles = hold(_joined(triangles, 3), wp.vec3i)
+        meshed = [item.surface.shape is None for item in items[:count]]
+        triangles = [mesh[1] if held else mesh[1][:0] for mesh, held in zip(meshes[:count], meshed, strict=True)]
+        moved = [_moved(mine, first) for mine, first in zip(triangles, vertex, strict=True)]
+        geoms.triangles = hold(_joined(moved, 3), wp.vec3i)
+        first = [*_offsets([len(mine) for mine in triangles])[:-1]]
+        geoms.first_triangle = hold(first + [item.first_triangle for item in self.colliders], wp.int32)
+        ids = [self._mesh(*mesh) if held else 0 for mesh, held in zip(meshes[:count], meshed, strict=True)]
+        geoms.mesh = hold(ids + [0] * len(self.colliders), wp.uint64)
 
     def _mesh(self, points: np.ndarray, triangles: np.ndarray) -> int:
         mesh = wp.Mesh(
@@ -341,6 +338,11 @@ def _bounds(points: np.ndarray, part: Features) -> tuple[np.ndarray, np.ndarray]
     radius = part.radius[:, None]
     every = np.concatenate([points, part.points - radius, part.points + radius])
     return every.min(axis=0), every.max(axis=0)
+
+
+def _moved(indices: np.ndarray, by: int) -> np.ndarray:
+    """Into an array that these begin at; -1 stays."""
+    return np.where(indices < 0, -1, indices + by)
 
 
 def _offsets(counts: list[int]) -> np.ndarray:
