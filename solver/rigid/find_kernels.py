@@ -49,7 +49,7 @@ def find_contacts(
     a = first + wp.tid()
     begin = wp.int32(0)
     if finder.geoms.body[a] >= 0:
-        begin = first_near(finder.geoms, finder.boxes, a)
+        begin = first_near(finder.boxes, a)
     if rests(finder, a, begin):
         return
     finder.contacts.count[a] = 0

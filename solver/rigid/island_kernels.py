@@ -49,12 +49,34 @@ def one_of(pair: wp.vec2i) -> int:
 
 @wp.func
 def sum_up(begin: wp.array(dtype=wp.int32), count: int):
-    """Counts at their own places plus one become where each run begins, one place on; see `take_place`."""
+    """Counts become where each run begins; see `take_place`."""
     total = wp.int32(0)
     for b in range(count + 1):
         here = begin[b]
         begin[b] = total
         total += here
+
+
+@wp.func
+def take_place(begin: wp.array(dtype=wp.int32), r: int) -> int:
+    """The next of a run, whose beginning moves on, in the end to its end: the beginning of the next."""
+    at = begin[r]
+    begin[r] = at + 1
+    return at
+
+
+@wp.func
+def unite_all(root: wp.array(dtype=wp.int32), geoms: Geoms, contacts: Contacts, joints: Joints, joint_count: int):
+    """Bodies that touch or are joined have one root, from each being its own."""
+    for a in range(geoms.count):
+        for k in range(geoms.first_slot[a], geoms.first_slot[a] + contacts.count[a]):
+            pair = contacts.body[k]
+            if pair[0] >= 0 and pair[1] >= 0:
+                unite(root, pair[0], pair[1])
+    for j in range(joint_count):
+        pair = joints.body[j]
+        if pair[0] >= 0 and pair[1] >= 0:
+            unite(root, pair[0], pair[1])
 
 
 @wp.kernel
@@ -71,22 +93,13 @@ def find_islands(
     if first + wp.tid() > 0:
         return
     root = islands.root
-    for b in range(body_count):
-        root[b] = b
+    for b in range(body_count + 1):
         islands.body_begin[b] = 0
         islands.contact_begin[b] = 0
         islands.joint_begin[b] = 0
-    islands.body_begin[body_count] = 0
-    islands.contact_begin[body_count] = 0
-    islands.joint_begin[body_count] = 0
-    for a in range(geoms.count):
-        for k in range(geoms.first_slot[a], geoms.first_slot[a] + contacts.count[a]):
-            pair = contacts.body[k]
-            if pair[0] >= 0 and pair[1] >= 0:
-                unite(root, pair[0], pair[1])
-    for j in range(joint_count):
-        if joints.body[j][0] >= 0 and joints.body[j][1] >= 0:
-            unite(root, joints.body[j][0], joints.body[j][1])
+    for b in range(body_count):
+        root[b] = b
+    unite_all(root, geoms, contacts, joints, joint_count)
     for b in range(body_count):
         root[b] = find_root(root, b)
         islands.body_begin[root[b]] += 1
@@ -98,22 +111,13 @@ def find_islands(
     sum_up(islands.body_begin, body_count)
     sum_up(islands.contact_begin, body_count)
     sum_up(islands.joint_begin, body_count)
-    # Each run is filled from its beginning, which moves on to its end: the beginning of the next.
     for b in range(body_count):
-        at = islands.body_begin[root[b]]
-        islands.body[at] = b
-        islands.body_begin[root[b]] = at + 1
+        islands.body[take_place(islands.body_begin, root[b])] = b
     for a in range(geoms.count):
         for k in range(geoms.first_slot[a], geoms.first_slot[a] + contacts.count[a]):
-            r = root[one_of(contacts.body[k])]
-            at = islands.contact_begin[r]
-            islands.contact[at] = k
-            islands.contact_begin[r] = at + 1
+            islands.contact[take_place(islands.contact_begin, root[one_of(contacts.body[k])])] = k
     for j in range(joint_count):
-        r = root[one_of(joints.body[j])]
-        at = islands.joint_begin[r]
-        islands.joint[at] = j
-        islands.joint_begin[r] = at + 1
+        islands.joint[take_place(islands.joint_begin, root[one_of(joints.body[j])])] = j
 
 
 @wp.func

@@ -53,7 +53,7 @@ def order_geoms(first: int, geoms: Geoms, boxes: Boxes):
 
 
 @wp.func
-def first_near(geoms: Geoms, boxes: Boxes, a: int) -> int:
+def first_near(boxes: Boxes, a: int) -> int:
     """The first place in the order of what may reach geom a, which a body carries."""
     axis = boxes.axis[0]
     i = wp.int32(boxes.rank[a])

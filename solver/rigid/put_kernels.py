@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from plait.solver.contact.geometry_kernels import get_triangle, unit_normal
-from plait.solver.rigid.motion_kernels import HALF, ZERO
+from plait.solver.rigid.motion_kernels import HALF, ZERO, Motion
 from plait.solver.rigid.nearest_kernels import Side
 from plait.solver.rigid.types import Contacts, Finder, Geoms, Kept
 
@@ -92,6 +92,21 @@ def mean_friction(a: wp.float64, b: wp.float64, otherwise: wp.float64) -> wp.flo
 
 
 @wp.func
+def core_of(motion: Motion, b: int, x: wp.vec3d, way: wp.vec3d) -> wp.vec3d:
+    """[m] a place in its body's axes; of an animated surface its way."""
+    if b < 0:
+        return way
+    return wp.quat_rotate_inv(motion.orientation[b], x - motion.position[b])
+
+
+@wp.func
+def lever_of(motion: Motion, b: int, x: wp.vec3d) -> wp.vec3d:
+    if b < 0:
+        return wp.vec3d()
+    return x - motion.position[b]
+
+
+@wp.func
 def put_contact(
     finder: Finder,
     a: int,
@@ -102,43 +117,30 @@ def put_contact(
     surface: Side,
 ):
     """Notes a contact of a point, its core at place.x and itself at place.x + arm, if it may touch in time."""
-    body_a = finder.geoms.body[a]
-    body_b = finder.geoms.body[b]
-    n = surface.normal
-    touch = place.x + arm
-    gap = surface.gap
+    geoms = finder.geoms
+    contacts = finder.contacts
     # Impacts turn bodies about: whatever may come near in the substep, however it moves now, is looked at.
-    if gap > least_margin(finder.geoms, a, b) + finder.boxes.travel[a] + finder.boxes.travel[b]:
+    if surface.gap > least_margin(geoms, a, b) + finder.boxes.travel[a] + finder.boxes.travel[b]:
         return
-    slot = find_slot(finder.contacts, finder.geoms, a, gap)
+    slot = find_slot(contacts, geoms, a, surface.gap)
     if slot < 0:
         return
-    finder.contacts.geom[slot] = b
-    finder.contacts.feature[slot] = feature
-    finder.contacts.body[slot] = wp.vec2i(body_a, body_b)
-    finder.contacts.arm_a[slot] = arm
-    finder.contacts.arm_b[slot] = surface.foot - surface.core
-    if body_a >= 0:
-        finder.contacts.core_a[slot] = wp.quat_rotate_inv(
-            finder.motion.orientation[body_a], place.x - finder.motion.position[body_a]
-        )
-        finder.contacts.lever_a[slot] = touch - finder.motion.position[body_a]
-    else:
-        finder.contacts.core_a[slot] = place.way
-    if body_b >= 0:
-        finder.contacts.core_b[slot] = wp.quat_rotate_inv(
-            finder.motion.orientation[body_b], surface.core - finder.motion.position[body_b]
-        )
-        finder.contacts.lever_b[slot] = touch - finder.motion.position[body_b]
-    else:
-        finder.contacts.core_b[slot] = surface.way
-    finder.contacts.normal[slot] = n
-    finder.contacts.gap[slot] = gap
-    finder.contacts.friction[slot] = mean_friction(
-        finder.geoms.friction[a], finder.geoms.friction[b], finder.step[0].friction
-    )
-    finder.contacts.restitution[slot] = wp.max(finder.geoms.restitution[a], finder.geoms.restitution[b])
-    finder.contacts.impulse[slot] = wp.vec3d()
-    before = kept_at(finder.kept, finder.geoms.first_slot[a], finder.kept.count[a], b, feature)
+    body_a = geoms.body[a]
+    body_b = geoms.body[b]
+    contacts.geom[slot] = b
+    contacts.feature[slot] = feature
+    contacts.body[slot] = wp.vec2i(body_a, body_b)
+    contacts.core_a[slot] = core_of(finder.motion, body_a, place.x, place.way)
+    contacts.core_b[slot] = core_of(finder.motion, body_b, surface.core, surface.way)
+    contacts.arm_a[slot] = arm
+    contacts.arm_b[slot] = surface.foot - surface.core
+    contacts.lever_a[slot] = lever_of(finder.motion, body_a, place.x + arm)
+    contacts.lever_b[slot] = lever_of(finder.motion, body_b, place.x + arm)
+    contacts.normal[slot] = surface.normal
+    contacts.gap[slot] = surface.gap
+    contacts.friction[slot] = mean_friction(geoms.friction[a], geoms.friction[b], finder.step[0].friction)
+    contacts.restitution[slot] = wp.max(geoms.restitution[a], geoms.restitution[b])
+    contacts.impulse[slot] = wp.vec3d()
+    before = kept_at(finder.kept, geoms.first_slot[a], finder.kept.count[a], b, feature)
     if before >= 0:
-        finder.contacts.impulse[slot] = finder.kept.impulse[before]
+        contacts.impulse[slot] = finder.kept.impulse[before]
