@@ -68,6 +68,42 @@ def leaves(edge: Segment, n: wp.vec3d) -> bool:
 
 
 @wp.func
+def where_nearest(p: Segment, q: Segment) -> wp.vec2d:
+    """How far along two edges they are nearest to each other, as parts of them; beyond both where parallel."""
+    u = p.b - p.a
+    v = q.b - q.a
+    w = p.a - q.a
+    uu = wp.length_sq(u)
+    vv = wp.length_sq(v)
+    uv = wp.dot(u, v)
+    square = uu * vv - uv * uv
+    if square <= PARALLEL * PARALLEL * uu * vv:
+        return wp.vec2d(-ONE, -ONE)
+    s = (uv * wp.dot(v, w) - vv * wp.dot(u, w)) / square
+    t = (uu * wp.dot(v, w) - uv * wp.dot(u, w)) / square
+    return wp.vec2d(s, t)
+
+
+@wp.func
+def is_within(part: wp.float64, edge: Segment, depth: wp.float64) -> bool:
+    """What touches near the end of an edge is found by its corner."""
+    end = HALF * depth / wp.length(edge.b - edge.a)
+    return part >= end and part <= ONE - end
+
+
+@wp.func
+def outwards(p: Segment, q: Segment, n: wp.vec3d, height: wp.float64) -> wp.float64:
+    """1 where n leads out of q's body, else -1: by its faces, or where it is round by the side that p is on."""
+    out = -(q.into_1 + q.into_2)
+    if wp.length_sq(out) == ZERO:
+        out = p.into_1 + p.into_2
+    toward = height
+    if wp.length_sq(out) > ZERO:
+        toward = wp.dot(n, out)
+    return wp.where(toward < ZERO, -ONE, ONE)
+
+
+@wp.func
 def cross_edges(
     finder: Finder,
     a: int,
@@ -77,34 +113,15 @@ def cross_edges(
     q: Segment,
 ):
     """The contact of two edges where they are nearest to each other, if that is within both."""
-    u = p.b - p.a
-    v = q.b - q.a
-    w = p.a - q.a
-    uu = wp.length_sq(u)
-    vv = wp.length_sq(v)
-    uv = wp.dot(u, v)
-    square = uu * vv - uv * uv
-    if square <= PARALLEL * PARALLEL * uu * vv:
-        return
-    s = (uv * wp.dot(v, w) - vv * wp.dot(u, w)) / square
-    t = (uu * wp.dot(v, w) - uv * wp.dot(u, w)) / square
     depth = least_margin(finder.geoms, a, b)
-    # What touches near the end of an edge is found by its corner.
-    end_p = HALF * depth / wp.sqrt(uu)
-    end_q = HALF * depth / wp.sqrt(vv)
-    if s < end_p or s > ONE - end_p or t < end_q or t > ONE - end_q:
+    at = where_nearest(p, q)
+    if not is_within(at[0], p, depth) or not is_within(at[1], q, depth):
         return
-    on_p = p.a + s * u
-    on_q = q.a + t * v
-    n = wp.normalize(wp.cross(u, v))
+    on_p = p.a + at[0] * (p.b - p.a)
+    on_q = q.a + at[1] * (q.b - q.a)
+    n = wp.normalize(wp.cross(p.b - p.a, q.b - q.a))
     height = wp.dot(n, on_p - on_q)
-    # Out of b: by its faces, or where it is round by the side that a is on.
-    out = -(q.into_1 + q.into_2)
-    if wp.length_sq(out) == ZERO:
-        out = p.into_1 + p.into_2
-    sign = wp.where(height < ZERO, -ONE, ONE)
-    if wp.length_sq(out) > ZERO:
-        sign = wp.where(wp.dot(n, out) < ZERO, -ONE, ONE)
+    sign = outwards(p, q, n, height)
     n = sign * n
     height = sign * height
     if not leaves(q, n) or not leaves(p, -n):
@@ -114,13 +131,13 @@ def cross_edges(
         return
     place = Place()
     place.x = on_p
-    place.way = p.way_a + s * (p.way_b - p.way_a)
+    place.way = p.way_a + at[0] * (p.way_b - p.way_a)
     surface = Side()
     surface.normal = n
     surface.gap = gap
     surface.core = on_q
     surface.foot = on_q + q.radius * n
-    surface.way = q.way_a + t * (q.way_b - q.way_a)
+    surface.way = q.way_a + at[1] * (q.way_b - q.way_a)
     put_contact(finder, a, b, -1 - pair, place, -p.radius * n, surface)
 
 

@@ -61,6 +61,62 @@ def meet_further_walls(
 
 
 @wp.func
+def is_near_box(finder: Finder, b: int, x: wp.vec3d, search: wp.float64) -> bool:
+    grown = wp.vec3d(search, search, search)
+    room = wp.min(x - finder.boxes.lower[b] + grown, finder.boxes.upper[b] + grown - x)
+    return wp.min(room) >= ZERO
+
+
+@wp.func
+def witness_of(finder: Finder, a: int, x: wp.vec3d, before: int) -> wp.vec3d:
+    """A place on the side of an open surface where a point belongs: where it was in the substep before.
+
+    What meets the surface for the first time belongs where its geom mostly is: a centre of mass may be anywhere.
+    """
+    if before >= 0:
+        return x + FAR * finder.kept.normal[before]
+    body = finder.geoms.body[a]
+    if body < 0:
+        return x
+    return finder.motion.position[body] + wp.quat_rotate(finder.motion.orientation[body], finder.geoms.center[a])
+
+
+@wp.func
+def meet_point(finder: Finder, a: int, b: int, feature: int, place: Place, before: int, search: wp.float64):
+    """The contact of a point of geom a with the surface of geom b, with walls about it where it is a ball."""
+    x = place.x
+    witness = witness_of(finder, a, x, before)
+    rim = wp.length_sq(place.axis) > ZERO
+    arm = wp.vec3d()
+    # Looked for from a little within the point's own body, the side is told also where both bodies end.
+    within = x + least_margin(finder.geoms, a, b) * place.inward
+    surface = nearest_on_geom(
+        finder.geoms, finder.animated, finder.motion, b, within, search + place.radius, witness
+    )
+    surface.gap -= wp.dot(surface.normal, within - x)
+    if rim and surface.found:
+        # The place of the rim that is nearest to the surface's tangent plane, found again from there.
+        for _ in range(3):
+            down = -surface.normal + wp.dot(surface.normal, place.axis) * place.axis
+            length = wp.length(down)
+            if length > wp.float64(1e-6) and surface.found:
+                arm = (place.radius / length) * down
+                surface = nearest_on_geom(
+                    finder.geoms, finder.animated, finder.motion, b, x + arm, search, witness
+                )
+    elif surface.found:
+        arm = -place.radius * surface.normal
+        surface.gap -= place.radius
+    if not surface.found:
+        return
+    if before >= 0:
+        surface = led_back(surface, finder.kept.normal[before])
+    put_contact(finder, a, b, feature, place, arm, surface)
+    if place.radius > ZERO and not rim and finder.geoms.kind[b] == MESH:
+        meet_further_walls(finder, a, b, feature, place, surface, search)
+
+
+@wp.func
 def meet_points(
     finder: Finder,
     a: int,
@@ -68,8 +124,7 @@ def meet_points(
 ):
     """Contacts of the points of geom a with the surface of geom b."""
     travel = finder.boxes.travel[a] + finder.boxes.travel[b]
-    depth = least_margin(finder.geoms, a, b)
-    reach = TWO * depth + finder.geoms.thickness[b] + travel
+    reach = TWO * least_margin(finder.geoms, a, b) + finder.geoms.thickness[b] + travel
     for p in range(finder.geoms.first_point[a], finder.geoms.first_point[a + 1]):
         place = place_of(finder, a, p)
         feature = 4 * (p - finder.geoms.first_point[a])
@@ -78,43 +133,5 @@ def meet_points(
         if before >= 0:
             # However deep it has been left, it is led back.
             search += wp.max(finder.geoms.reach[a], finder.geoms.reach[b])
-        grown = wp.vec3d(search, search, search)
-        x = place.x
-        inside_lower = wp.min(x - finder.boxes.lower[b] + grown, finder.boxes.upper[b] + grown - x)
-        if wp.min(inside_lower) >= ZERO:
-            # What meets an open surface for the first time belongs where its geom mostly is: a centre of mass may
-            # be anywhere.
-            witness = x
-            if before >= 0:
-                witness = x + FAR * finder.kept.normal[before]
-            elif finder.geoms.body[a] >= 0:
-                body = finder.geoms.body[a]
-                turned = wp.quat_rotate(finder.motion.orientation[body], finder.geoms.center[a])
-                witness = finder.motion.position[body] + turned
-            rim = wp.length_sq(place.axis) > ZERO
-            arm = wp.vec3d()
-            # Looked for from a little within the point's own body, the side is told also where both bodies end.
-            within = x + depth * place.inward
-            surface = nearest_on_geom(
-                finder.geoms, finder.animated, finder.motion, b, within, search + place.radius, witness
-            )
-            surface.gap -= wp.dot(surface.normal, within - x)
-            if rim and surface.found:
-                # The place of the rim that is nearest to the surface's tangent plane, found again from there.
-                for _ in range(3):
-                    down = -surface.normal + wp.dot(surface.normal, place.axis) * place.axis
-                    length = wp.length(down)
-                    if length > wp.float64(1e-6) and surface.found:
-                        arm = (place.radius / length) * down
-                        surface = nearest_on_geom(
-                            finder.geoms, finder.animated, finder.motion, b, x + arm, search, witness
-                        )
-            elif surface.found:
-                arm = -place.radius * surface.normal
-                surface.gap -= place.radius
-            if surface.found and before >= 0:
-                surface = led_back(surface, finder.kept.normal[before])
-            if surface.found:
-                put_contact(finder, a, b, feature, place, arm, surface)
-            if surface.found and place.radius > ZERO and not rim and finder.geoms.kind[b] == MESH:
-                meet_further_walls(finder, a, b, feature, place, surface, search)
+        if is_near_box(finder, b, place.x, search):
+            meet_point(finder, a, b, feature, place, before, search)
