@@ -47,10 +47,10 @@ def random_joint(random: np.random.Generator, props: list[Prop], first: int) -> 
     frame = np.eye(4)
     frame[:3, 3] = 0.5 * (poses[0] + poses[1])[:3, 3]
     frames = tuple(np.linalg.inv(pose) @ frame for pose in poses)
-    limits = (
-        {} if kind == "fixed" or random.random() < 0.5 else {"limits": (0.0 if kind == "spherical" else -0.3, 0.5)}
-    )
-    return Joint(f"joint {first}", kind, (first, first + 1), frames, collide=bool(random.random() < 0.3), **limits)
+    told: dict[str, Any] = {"collide": bool(random.random() < 0.3)}
+    if kind != "fixed" and random.random() < 0.5:
+        told |= {"cone": 0.5} if kind == "spherical" else {"limits": (-0.3, 0.5)}
+    return Joint(f"joint {first}", kind, (first, first + 1), frames, **told)
 
 
 def random_length(random: np.random.Generator) -> float:
