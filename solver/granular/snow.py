@@ -1,8 +1,8 @@
 """Snow: elastic up to a critical strain, harder where packed, softer where torn (Stomakhin et al. 2013).
 
-psi = mu |F - R|^2 + lambda/2 (J - 1)^2 of the elastic F, with both parameters times exp(xi (1 - J_P)) (their (1),
-(2)); the singular values of F stay within [1 - theta_c, 1 + theta_s], the rest becomes plastic (their section 7),
-of which only the volume J_P matters to what follows. It is kept within [.6, 20], as in the code that Hu et al.
+psi = mu |F - R|^2 + lambda/2 (J - 1)^2 of the elastic F, with both parameters times exp(xi (1 - J_P)); the
+singular values of F stay within [1 - theta_c, 1 + theta_s], the rest becomes plastic, of which only the volume
+J_P matters to what follows. It is kept within [.6, 20], as in the code that Hu et al.
 (2018) published beside their paper: without bound a hard blow packs snow until it is hundreds of times as stiff,
 and takes steps as much shorter as sound is faster.
 """

@@ -88,7 +88,7 @@ def test_among_others_a_law_is_itself(law):
 
 
 def excess(e: np.ndarray) -> np.ndarray:
-    """|dev e| + alpha (3 lambda + 2 mu) / (2 mu) tr e (Klar et al. 2016 (27)): not above zero where admissible."""
+    """|dev e| + alpha (3 lambda + 2 mu) / (2 mu) tr e (Klar et al. 2016): not above zero where admissible."""
     trace = np.einsum("nii->n", e)
     shear = np.linalg.norm(e - trace[:, None, None] / 3 * np.eye(3), axis=(1, 2))
     return shear + SLOPE * (3 * LAM + 2 * MU) / (2 * MU) * trace
@@ -112,7 +112,7 @@ def test_sand_goes_back_to_the_cone():
 
 
 def test_sands_cone_is_coulombs():
-    """Sliding in plane shear: the shear stress is tan phi times the pressure (Jop et al. 2006 (2))."""
+    """Sliding in plane shear: the shear stress is tan phi times the pressure (Jop et al. 2006)."""
     probe = Probe(matter("sand", friction_angle=ANGLE, **UNIT))
     e, _ = probe.return_map(np.array([[[-0.02, 0.1, 0.0], [0.1, -0.02, 0.0], [0.0, 0.0, -0.02]]]))
     tau = probe.state(e)[1][0]
@@ -141,7 +141,7 @@ def test_snow_yields_at_its_critical_stretches():
 
 
 def test_snow_hardens_as_it_is_packed():
-    """Stress times exp(xi (1 - J_P)), xi = 10 (Stomakhin et al. 2013 (2))."""
+    """Stress times exp(xi (1 - J_P)), xi = 10 (Stomakhin et al. 2013)."""
     probe, e = Probe(matter("snow")), strains(0.01, 3)
     rest, hard = probe.state(e)[1], probe.state(e, np.log(0.9))[1]
     np.testing.assert_allclose(hard, np.exp(10 * 0.1) * rest, rtol=1e-12)
