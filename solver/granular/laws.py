@@ -26,14 +26,17 @@ from plait.solver.scene import Granular, GranularLaw
 
 
 class Law(NamedTuple):
+    """cohesive: whether it hangs together under tension."""
+
     functions: Callable[[type], SimpleNamespace]
     parameters: Callable[[Granular], tuple[float, ...]]
+    cohesive: bool
 
 
 LAWS: dict[GranularLaw, Law] = {
-    "sand": Law(sand.sand, sand.parameters),
-    "snow": Law(snow.snow, snow.parameters),
-    "elastic": Law(elastic.elastic, elastic.parameters),
+    "sand": Law(sand.sand, sand.parameters, False),
+    "snow": Law(snow.snow, snow.parameters, True),
+    "elastic": Law(elastic.elastic, elastic.parameters, True),
 }
 
 

@@ -44,6 +44,7 @@ class Matter:
 
     particles: struct `Particles`, room for `capacity`, of which the first `count` are.
     sound: [m/s] the fastest in any particle.  speed: [m/s] the largest part of any velocity along an axis.
+    cohesive: whether any of it hangs together.
     disturbed: boxes (2, 3) [m] within which nothing sleeps.  awake: how many blocks of cells do not.
     """
 
@@ -53,6 +54,7 @@ class Matter:
     ) -> None:  # fmt: skip
         self.types, self._launcher, self._real = granular_types(real), launcher, real
         laws = tuple(sorted({g.law for g in granular}))
+        self.cohesive = any(LAWS[law].cohesive for law in laws)
         self.kernels, self._laws, self._gravity = transfer_kernels(laws, real), laws, np.asarray(gravity)
         self.grid = BlockGrid(cell_size, real, launcher)
         device = launcher.device

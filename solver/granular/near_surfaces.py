@@ -19,6 +19,8 @@ from plait.solver.model import Interval, Model
 REACH = 3.0
 # Nodes above a surface take part that are no further [cells] from it: the nearest always is among them.
 NEAREST = 0.5
+# What hangs together touches that is no further [cells] from where it would lie: else it would come and go.
+TOUCHING = 0.02
 # What is deeper behind a surface than this part of a cell is led out, within so many substeps.
 SUNK, SETTLING = 0.1, 2.0
 # Cost in units of `Launcher.launch`.
@@ -126,7 +128,9 @@ class NearSurfaces:
 
         Of the nodes above it those up to half a cell away take part too, once the matter that they carry has come
         down to where it would lie if it filled all above the surface. Else what rests on a surface between nodes
-        would sink until those behind it feel enough of its weight.
+        would sink until those behind it feel enough of its weight. With matter that hangs together those behind
+        wait as long: they feel it, by its splines, from further off, and would hold it up there. Sand falls on by
+        itself, and rubs the better on what always touches it.
         """
         size = self._matter.grid.cell_size
         node, held = self._nodes_near(collider)
@@ -137,8 +141,8 @@ class NearSurfaces:
         behind = height - self._substep.length * np.maximum(approach, 0.0) <= 0.0
         now, of_matter = height - since * approach, of_matter - since * approach
         of_matter -= size * filled_height(now / size)
-        by_matter = ~behind & np.isfinite(of_matter) & (now < NEAREST * size)
-        height = np.where(by_matter, of_matter, height)
+        by_matter = np.isfinite(of_matter) & (now < NEAREST * size) & (self._matter.cohesive | ~behind)
+        height = np.where(by_matter, of_matter - TOUCHING * size * self._matter.cohesive, height)
         self._note_sunk(node, normal, of_matter)
         surface = np.full(len(node), collider.index)
         columns = (node, surface, height, by_matter, normal, velocity, self._friction[surface], triangle, weights)
@@ -178,7 +182,8 @@ class NearSurfaces:
         nearest may be a hidden one. Of a sheet that stays where it is, with no node before it, nothing is asked.
         """
         apart = np.full(len(node), np.nan)
-        if not len(node) or not (collider.moves or collider.closed or (held[0] > 0.0).any()):
+        asked = self._matter.cohesive or collider.moves or collider.closed
+        if not len(node) or not (asked or (held[0] > 0.0).any()):
             return apart
         if self._middles is None:
             self._middles = self._matter.middles()

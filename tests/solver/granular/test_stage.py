@@ -93,6 +93,20 @@ def test_thrown_against_a_plate_and_pulled_off(precision):
         assert not np.any(stage.contact.impulse.get(0, 0.0))
 
 
+@pytest.mark.parametrize("between", [0.0, 0.25, 0.5, 0.75])
+def test_snow_comes_down_to_a_plate_wherever_it_is_between_nodes(between):
+    """Thrown at it at 3 m/s its lowest layer lies a quarter of a cell above, half its grains' size; to as much."""
+    under = plate(4.0)
+    under = replace(under, points=under.points + np.array([0.0, between * CELL, 0.0]))
+    places = lattice((4, 4, 4), (-0.2, (between + 0.5) * CELL, -0.2))
+    snow = granular(places, np.tile([0.0, -3.0, 0.0], (len(places), 1)), "snow", density=400.0)
+    simulation = simulated(Scene(surfaces=(under,), granular=(snow,)))
+    run(simulation, 12)
+    heights = simulation.model.parts["granular"].grains(0).positions[:, 1] / CELL - between
+    lowest = np.sort(heights)[: 8 * 8].mean()
+    assert 0.0 < lowest < 0.5
+
+
 @pytest.mark.parametrize("friction", [0.2, 0.5])
 def test_slides_on_a_plate_by_its_friction(friction):
     """A block thrown along a plate: m dv_x = -mu (m g t + m dv_y), what the plate gave it, to 1 %."""
