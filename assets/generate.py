@@ -129,7 +129,9 @@ def author_skeleton(stage: Usd.Stage, joints: tuple[character.Joint, ...], body:
 
 
 def translations_as_matrices(places: np.ndarray) -> Vt.Matrix4dArray:
-    return Vt.Matrix4dArray([Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*map(float, row))) for row in places.round(6)])
+    return Vt.Matrix4dArray(
+        [Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*map(float, row))) for row in rounded(places, 6)]
+    )
 
 
 def define_mesh(stage: Usd.Stage, path: Sdf.Path, points: np.ndarray, triangles: np.ndarray) -> UsdGeom.Mesh:
@@ -158,8 +160,13 @@ def bind_to_joint(prim: Usd.Prim, joints: tuple[character.Joint, ...], name: str
     bind(prim, np.array([[index]]), np.array([[1.0]]), constant=True)
 
 
+def rounded(values: np.ndarray, digits: int) -> np.ndarray:
+    """To so many decimals, and no zero below zero: whether it is one hangs on the processor."""
+    return values.round(digits) + 0.0
+
+
 def vectors(values: np.ndarray) -> Vt.Vec3fArray:
-    return Vt.Vec3fArray.FromNumpy(values.reshape(-1, 3).round(DIGITS).astype(np.float32))
+    return Vt.Vec3fArray.FromNumpy(rounded(values.reshape(-1, 3), DIGITS).astype(np.float32))
 
 
 # --- its motion ------------------------------------------------------------------------------------------------
@@ -181,7 +188,7 @@ def author_clip(
     clip = UsdSkel.Animation.Define(stage, body.AppendChild("Walk"))
     clip.CreateJointsAttr(joint_paths(joints))
     translations, rotations = walk.animation(joints, (codes - codes[0]) / RATE, choreography)
-    turns = walk.quaternions(rotations).round(7)
+    turns = rounded(walk.quaternions(rotations), 7)
     clip.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1.0)] * len(joints)))
     moving, turning = clip.CreateTranslationsAttr(), clip.CreateRotationsAttr()
     for code, places, quaternions in zip(codes, translations, turns, strict=True):

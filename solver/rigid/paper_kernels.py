@@ -23,7 +23,8 @@ from plait.solver.rigid.paper_law import returned, traction_of
 from plait.solver.rigid.paper_types import Field, View
 from plait.solver.rigid.put_kernels import mean_friction
 
-wp.set_module_options({"enable_backward": False})
+# Unrolled, the loops over nodes would be most of the code, and no faster.
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 # Of two bodies each says one half of the impulse between them.
 SAYS = HALF
