@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -129,10 +130,12 @@ def plot(results: Sequence[Result], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6.0 * len(results), 5.0), layout="constrained")
+    columns = math.ceil(math.sqrt(len(results)))
+    rows = math.ceil(len(results) / columns)
+    figure = Figure(figsize=(6.0 * columns, 5.0 * rows), layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, result in zip(figure.subplots(1, len(results), squeeze=False)[0], results, strict=True):
-        _panel(axes, result)
+    for place, result in enumerate(results, 1):
+        _panel(figure.add_subplot(rows, columns, place), result)
     with replacing(path) as aside:
         figure.savefig(aside, format=path.suffix.lstrip(".") or "png", dpi=120)
 
@@ -141,6 +144,11 @@ def _panel(axes: Any, result: Result) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter
 
     measured = {row.variant: row for row in result.rows if row.error and not row.failure}
+    axes.set(title=result.case.name)
+    if not measured:  # no error has a place on a logarithmic axis
+        axes.text(0.5, 0.5, "no row with an error above 0", ha="center", transform=axes.transAxes)
+        axes.set_axis_off()
+        return
     kinds: dict[str, list[Row]] = {}
     for variant, row in measured.items():
         kind = f"{variant.integrator if variant.substeps else 'static'}, {variant.precision}"
@@ -149,7 +157,7 @@ def _panel(axes: Any, result: Result) -> None:
         axes.plot([row.seconds for row in rows], [row.error for row in rows], "o", label=kind)
     front = sorted((row.seconds, row.error) for row in measured.values() if row.front)
     axes.plot(*zip(*front, strict=True) if front else ((), ()), "k-", linewidth=1.0, label="Pareto front")
-    axes.set(xscale="log", yscale="log", xlabel="seconds", ylabel="relative error", title=result.case.name)
+    axes.set(xscale="log", yscale="log", xlabel="seconds", ylabel="relative error")
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter(NullFormatter())

@@ -233,6 +233,15 @@ def test_the_table_shows_failures_and_the_plot_is_a_picture(capsys, tmp_path):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_case_with_no_error_is_in_the_plot_too(tmp_path):
+    """Nought has no place on a logarithmic axis: cases in which every row is exact, or fails, are named there."""
+    exact = toy(2.0, name="exact", prepare=lambda variant, hardware: Trial(lambda: Outcome(EXACT, {})))
+    fails = toy(2.0, name="fails", fail=lambda variant: refuse_finest(variant._replace(substeps=8)))
+    picture = tmp_path / "errors.svg"
+    bench.show([], plot=picture, available=(toy(2.0), exact, fails))
+    assert picture.read_text().count("no row with an error above 0") == 2
+
+
 @pytest.mark.parametrize(
     "wrong",
     [{"cases": ["nonsense"]}, {"cases": [], "device": "cuda:99"}, {"cases": [], "plot": "errors.doc"}],
